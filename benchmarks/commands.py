@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.description.load import load_robot
-from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.study_options import StudyOptions
 from drive_terms import SHARED
 
 TRAINED = ("multisine", "chirp_sweep", "random_waypoints", "friction_gravity")

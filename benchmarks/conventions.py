@@ -27,7 +27,7 @@ from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from drive_terms import SHARED, UR10E_SHEET
-from other_motions import ROBOTS
+from recorded_robots import USUAL
 
 VIRTUAL = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "puma-560", "scara", "g1-arms")
 CODE = "joint_convention"
@@ -42,7 +42,7 @@ CHANGES = {
 
 def logs(data: Path, scratch: Path) -> Iterator[tuple[str, RobotModel, Recording]]:
     """Yield real recordings, where they are, and recordings of virtual robots."""
-    for name, robot in ROBOTS.items() if (data / "data").is_dir() else ():
+    for name, robot in USUAL.items() if (data / "data").is_dir() else ():
         model = load_robot(str(data / "models" / robot.description))
         options = dict(robot.options)
         folder = data / "data" / robot.folder

@@ -20,6 +20,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.uncertainty.uncertainty import estimate_block_uncertainty
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -27,15 +29,13 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.executor import open_workers
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior, design_values
-from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate

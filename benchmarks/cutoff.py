@@ -30,7 +30,7 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.workflow.cutoff_sweep import MULTIPLES, sweep_cutoffs
 from drive_terms import SHARED, UR10E_SHEET
-from other_motions import ROBOTS
+from recorded_robots import USUAL
 
 GOAL = 1.1
 """Error of the default over that of `--cutoff auto` that is as good."""
@@ -57,7 +57,7 @@ MORE = {
         ("ur10e/ur-20_01_31-load.csv",),
     ),
 }
-"""Recordings beside those of `other_motions`."""
+"""Recordings beside those of `recorded_robots`."""
 ALONE = {
     "UR10": Robot(
         "ur10.urdf",
@@ -112,7 +112,7 @@ def robots() -> dict[str, Robot]:
             (*((f"{robot.folder}/{each}",) for each in robot.recordings), *MORE.get(name, ())),
             robot.options,
         )
-        for name, robot in ROBOTS.items()
+        for name, robot in USUAL.items()
     }
     return known | ALONE
 

@@ -22,10 +22,10 @@ from asbuilt.arrays import Array
 from asbuilt.description.catalogue import robot_names
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import Design
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.information.information_bound import information_efficiency
 from asbuilt.excitation.limits import MotionBounds

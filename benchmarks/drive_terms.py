@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain

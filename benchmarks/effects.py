@@ -34,8 +34,8 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording, TorqueSource
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
+from asbuilt.workflow.study_options import StudyOptions
 from asbuilt.workflow.validation import validate
 from effect_score import VISIBLE, Row, Score, Truth, by_family, score
 from named_effects import APPLIED, named_effects

@@ -14,11 +14,11 @@ from scipy.optimize import minimize
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.design.design import choose_size, design_motion
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import (
     Information,

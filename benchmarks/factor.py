@@ -11,7 +11,7 @@ from scipy.linalg import qr
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import inverse_dynamics

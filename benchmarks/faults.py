@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.study_options import StudyOptions
 
 Array = NDArray[np.float64]
 

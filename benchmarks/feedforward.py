@@ -22,8 +22,8 @@ from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionControlle
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.tracking import track
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
+from asbuilt.workflow.study_options import StudyOptions
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda")
 BANDWIDTH = 4.0

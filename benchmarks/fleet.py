@@ -28,10 +28,10 @@ from asbuilt.apps.fleet.options import FleetIdentification, FleetOptions
 from asbuilt.apps.fleet.reduction.add import add_logs
 from asbuilt.apps.fleet.reduction.log_task import LogTask, reduce_log
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.executor import open_workers
 from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.signal.preparation import stream_samples
 from asbuilt.experiment.signal.samples import Samples

@@ -31,7 +31,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import RegressorPlan

@@ -18,13 +18,13 @@ import polars as pl
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.experiment.logs.long_recordings import stream_recording
 from asbuilt.experiment.signal.preparation import stream_samples
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream
-from asbuilt.identification.result.conclusion import conclude
+from asbuilt.identification.result.estimate_to_result import conclude
 from factor import DRIVE, RATE, ROBOT, recorded
 
 HOUR = 3600.0

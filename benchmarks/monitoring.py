@@ -25,14 +25,14 @@ from asbuilt.apps.watch.observer import Observer
 from asbuilt.apps.watch.thresholds import Thresholds, bound_residual, set_thresholds
 from asbuilt.apps.watch.watched_log import ELSEWHERE
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
+from asbuilt.workflow.study_options import StudyOptions
 from monitoring_real import interval
 
 RATE = 100.0

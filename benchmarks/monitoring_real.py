@@ -21,10 +21,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from asbuilt.apps.watch.contact import WITHIN, frame_jacobian
-from asbuilt.apps.watch.observation import estimate_doubtful_speed, uses_logged_velocities
 from asbuilt.apps.watch.observed import ModelError, Observed
 from asbuilt.apps.watch.observer import BANDWIDTH, Observer
 from asbuilt.apps.watch.thresholds import HALF, Thresholds, delay_velocities, set_thresholds
+from asbuilt.apps.watch.watching import estimate_doubtful_speed, uses_logged_velocities
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
@@ -32,8 +32,8 @@ from asbuilt.dynamics.momentum import apply_lag
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
+from asbuilt.workflow.study_options import StudyOptions
 from drive_terms import UR10E_SHEET
 
 SIZES = (10.0, 20.0, 40.0, 80.0, 160.0)

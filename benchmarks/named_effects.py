@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_options import StudyOptions
 from effect_score import Effect
 
 APPLIED = "effects" in {each.name for each in fields(StudyOptions)}

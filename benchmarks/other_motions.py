@@ -1,322 +1,328 @@
-"""Relative torque error on other motions of the same robot, by estimator, beside CAD.
+"""Relative torque error on other motion of every recorded robot, by every way to identify.
 
-Each recording is identified with the default signal chain and drive terms, and the others of the
-same robot are predicted; `plain` is weighted least squares with a 5 Hz cutoff. What is predicted is
-filtered like what was fitted; `auto, same samples` is `auto` on the samples of `plain`, since a
-lower cutoff takes error away from any model. Recordings that repeat the motion fitted are marked
-with `=`: they tell how well that motion is fitted, not how well another one is predicted. The mass
-is that of the exported robot in masses of CAD, with the ratio of the link furthest from CAD.
+    python benchmarks/other_motions.py                       the whole table, about 20 min of CPU
+    python benchmarks/other_motions.py "LWR4+" UR10e         some robots
+    python benchmarks/other_motions.py --out now.jsonl --beside before.jsonl
 
-How much worse `auto` is than `plain` and than CAD has a standard error, from the paired differences
-of time blocks of the recording predicted.
+Each set of recordings is identified by `asbuilt.identify` with the options of the command line, and
+the robot's other recordings are predicted; a robot with a single motion holds blocks of it out.
+`default` is the command line without options, `plain` is weighted least squares without effects;
+`exported` is the default's model of bodies. A recording that repeats the motion fitted is marked
+with `=`: it tells how well that motion is fitted, not how well another one is predicted.
+
+A row is one set with all its other motions, by the mean squared error. What the default loses to
+the best way has a standard error, from paired differences of time blocks. `--beside` compares with
+rows that another tree wrote.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy.special import stdtr
 
-from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.torque import choose_usual_drive
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.effects.search import find_effects
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.validation.generalisation.coverage import measure_repeated_share
-from asbuilt.validation.prediction import Validation, validate_samples
-from asbuilt.workflow.delays import settle_delays
-from asbuilt.workflow.prepare import digest_recording
-from asbuilt.writers.tables.mass_tables import exported_masses
-from drive_terms import SHARED, UR10E_SHEET
+from asbuilt.validation.prediction import Validation
+from asbuilt.workflow.study import Study, identify
+from drive_terms import SHARED
+from recorded_robots import ROBOTS, SINGLE, Robot, recorded_robots, sets_of
 
-METHODS = ("auto", "wls", "consistent")
-PLAIN_CUTOFF = 5.0
-SAME = "auto, same samples"
+WAYS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "plain": {"method": "wls", "effects": "none"},
+    "wls": {"method": "wls"},
+    "consistent": {"method": "consistent"},
+    "entropic": {"method": "entropic"},
+    "no effects": {"effects": "none"},
+}
+"""Options of every way."""
 REPEATED = 0.5
 """Share of states near those fitted from which on a recording repeats the motion."""
+WORSE = 0.03
+"""Share of the best way's error by which the default may be worse."""
 BLOCKS, SHORTEST = 20, 1.0
 """Time blocks of a recording predicted, and the least length of one [s]."""
 
 
-class Robot(NamedTuple):
-    """Recordings of one robot: sets to identify from, and whether its mounting is estimated too."""
+@dataclass(frozen=True)
+class Row:
+    """One set of recordings identified in one way, and its errors on other motions.
 
-    description: str
-    folder: str
-    recordings: tuple[str, ...]
-    sets: tuple[tuple[int, ...], ...] = ()
-    tilt: bool = False
-    options: Mapping[str, Any] = MappingProxyType({})
-
-
-ROBOTS = {
-    "LWR4+": Robot(
-        "kuka_lwr4.urdf",
-        "kuka_lwr4",
-        ("measurements_1.npz", "measurements_2.npz", "measurements_3.npz"),
-        sets=((0, 1),),
-        tilt=True,
-    ),
-    "LBR Med 7": Robot(
-        "lbrstack_med7.urdf",
-        "lbr_med7",
-        ("measurements_with_ext_tau_1_dgr.csv", "measurements.csv"),
-        tilt=True,
-        options={"rate": 100.0, "flip_torque": True},
-    ),
-    "UR10e": Robot(
-        "ur10e.urdf",
-        "ur10e",
-        (
-            "ur-20_02_10-30sec_12harm.csv",
-            "ur-20_02_12-40sec_12harm.csv",
-            "ur-20_01_17-ptp_10_points.csv",
-            "ur-20_02_19_14harm50sec.csv",
-            "ur-20_01_31-unload.csv",
-        ),
-        options={"gain": [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]},
-    ),
-    "AIRBOT": Robot(
-        "airbot/airbot_play.urdf",
-        "airbot",
-        (
-            "vali_ga_N12T25.csv",
-            "vali_opt.csv",
-            "vali_ptrnSrch_N7T25QR-5.csv",
-            "vali_ptrnSrch_N8T25QR-8.csv",
-        ),
-        options={"sheet": "sheet.toml"},
-    ),
-}
-
-
-class Excess(NamedTuple):
-    """Relative torque error over that of another model, less 1, with its standard error."""
-
-    value: float
-    error: float
-
-    @property
-    def sure(self) -> bool:
-        """Whether the error is larger beyond one standard error."""
-        return self.value > self.error
-
-    @property
-    def text(self) -> str:
-        """The excess in percent."""
-        return f"{100 * self.value:+.1f} +- {100 * self.error:.1f} %"
-
-
-class Row(NamedTuple):
-    """Errors [%] on the other recordings, by method, of one set of recordings.
-
-    `repeated` are the shares of their states that the motion fitted came near to. `excess` is the
-    error of `auto` over that of `plain` on the same samples, and over that of CAD.
+    `errors` and `cad` are relative errors on each other motion, `exported` those of the exported
+    robot, `repeats` whether it is the motion fitted. `energies` are the squared errors of time
+    blocks in the squared torque of their recording, `effects` those in the model with a value.
     """
 
     robot: str
     train: str
-    errors: dict[str, tuple[float, ...]]
-    masses: dict[str, str]
-    took: str
-    seconds: float
-    repeated: tuple[float, ...]
-    excess: dict[str, tuple[Excess, ...]]
+    way: str
+    others: tuple[str, ...] = ()
+    errors: tuple[float, ...] = ()
+    exported: tuple[float, ...] = ()
+    cad: tuple[float, ...] = ()
+    repeats: tuple[bool, ...] = ()
+    energies: tuple[tuple[float, ...], ...] = ()
+    effects: tuple[str, ...] = ()
+    took: str = ""
+    seconds: float = 0.0
+    problem: str = ""
 
-    def on_other_motions(self, over: str) -> list[Excess]:
-        """Return the excess over `plain` or CAD on recordings that do not repeat the motion."""
-        pairs = zip(self.excess[over], self.repeated, strict=True)
-        return [each for each, near in pairs if near < REPEATED]
+    @property
+    def key(self) -> tuple[str, str]:
+        """Robot and recordings."""
+        return self.robot, self.train
+
+    def mean(self, errors: Sequence[float]) -> float:
+        """Return the root of the mean squared error on motions that do not repeat, else on all."""
+        new = [error for error, same in zip(errors, self.repeats, strict=True) if not same]
+        return float(np.sqrt(np.mean(np.square(new or errors)))) if errors else np.nan
+
+    @property
+    def error(self) -> float:
+        """Error on other motion of the fitted model."""
+        return self.mean(self.errors)
 
 
-def excess_over(own: Array, other: Array, t: Array) -> Excess:
-    """Return the relative error of residuals `own` over that of `other`, both (N, n), less 1.
+@dataclass
+class Table:
+    """Rows by set and way."""
+
+    rows: dict[tuple[str, str], dict[str, Row]] = field(default_factory=dict)
+
+    def add(self, row: Row) -> None:
+        """Add a row, or put it in the place of an older one."""
+        self.rows.setdefault(row.key, {})[row.way] = row
+
+
+def excess_over(own: Row, other: Row) -> tuple[float, float]:
+    """Return the error of a row over that of another, less 1, with its standard error.
 
     With the energies `a_b`, `p_b` of the time blocks and `r = sum a / sum p`, the variance of r is
     that of `sum (a_b - r p_b) / sum p`.
     """
-    seconds = max(SHORTEST, float(t[-1] - t[0]) / BLOCKS)
-    block = np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1]
-    a, p = (np.bincount(block, np.sum(each**2, axis=1)) for each in (own, other))
-    r, n = float(a.sum() / p.sum()), len(a)
-    spread = float(np.sqrt(np.sum((a - r * p) ** 2) * n / max(n - 1, 1)) / p.sum())
-    return Excess(float(np.sqrt(r)) - 1.0, 0.5 * spread / float(np.sqrt(r)))
+    a, p = (np.concatenate([*map(np.array, row.energies)]) for row in (own, other))
+    ratio = float(a.sum() / p.sum())
+    n = len(a)
+    spread = float(np.sqrt(np.sum((a - ratio * p) ** 2) * n / max(n - 1, 1)) / p.sum())
+    return float(np.sqrt(ratio)) - 1.0, 0.5 * spread / float(np.sqrt(ratio))
 
 
-def rows(
-    data: Path, scratch: Path, names: tuple[str, ...] = (), delay: str | None = "auto"
+def measure_set(
+    name: str, robot: Robot, model: RobotModel, logs: Sequence[Recording], train: tuple[int, ...]
 ) -> Iterator[Row]:
-    """Yield the errors of every set of recordings of every robot."""
-    for name, robot in ROBOTS.items():
-        if names and name not in names:
+    """Yield the rows of one set of recordings, way by way."""
+    label = "+".join(Path(logs[k].source).stem for k in train)
+    others = [k for k in range(len(logs)) if k not in train and robot.holdout is None]
+    for way, options in WAYS.items():
+        began = time.process_time()
+        try:
+            study = identify(
+                model,
+                [logs[k] for k in train],
+                validation=[logs[k] for k in others],
+                checked=False,
+                **{"holdout": robot.holdout} if robot.holdout else {},
+                **options,
+            )
+        except (AsbuiltError, np.linalg.LinAlgError) as problem:
+            yield Row(name, label, way, problem=f"{type(problem).__name__}: {problem}"[:200])
             continue
-        model = load_robot(str(data / "models" / robot.description))
-        options = dict(robot.options)
-        folder = data / "data" / robot.folder
-        if "gain" in options:
-            options["sheet"] = scratch / "ur10e_sheet.toml"
-            options["sheet"].write_text(UR10E_SHEET)
-        elif "sheet" in options:
-            options["sheet"] = folder / options["sheet"]
-        logs = [
-            read_recordings([folder / each], model=model, **options)[0] for each in robot.recordings
-        ]
-        for train in (*((k,) for k in range(len(logs))), *robot.sets):
-            for tilt in (False, True) if robot.tilt else (False,):
-                yield _row(name, model, logs, train, tilt, delay)
-
-
-def _row(
-    name: str, model: Any, logs: list[Any], train: tuple[int, ...], tilt: bool, delay: str | None
-) -> Row:
-    others = [k for k in range(len(logs)) if k not in train]
-    errors: dict[str, tuple[float, ...]] = {}
-    masses: dict[str, str] = {}
-    took, seconds = "", 0.0
-    repeated: tuple[float, ...] = ()
-    excess: dict[str, tuple[Excess, ...]] = {}
-    best = None
-    for cutoff, methods in ((None, METHODS), (PLAIN_CUTOFF, ("plain", "auto"))):
-        chain = resolve_chain(SignalChain(cutoff=cutoff, delay=delay), *(logs[k] for k in train))
-        heads = [logs[k] for k in train]
-        late = settle_delays(model, heads, [digest_recording(head) for head in heads], chain, None)
-        used, held = (
-            [
-                late.applied(prepare_samples(logs[k], late.chain_of(own)), own)
-                for k in which
-                for own in (digest_recording(logs[k]),)
+        seconds = time.process_time() - began
+        chain = study.result.chain
+        repeats = [False] * len(study.validations)
+        if others and chain is not None:
+            used = [prepare_samples(logs[k], chain) for k in train]
+            repeats = [
+                measure_repeated_share(used, prepare_samples(logs[k], chain)) >= REPEATED
+                for k in others
             ]
-            for which in (train, others)
-        )
-        drive = choose_usual_drive(model, logs[0].torque_source)
-        tilted = {"tilt"} if tilt else set()
-        own = find_effects(model, drive, used, keys=tilted, stated=tilted).model
-        for method in methods:
-            label = method if cutoff is None or method == "plain" else f"{method} {cutoff:g} Hz"
-            start = time.perf_counter()
-            try:
-                result = identify_samples(
-                    own, used, drive=drive, method="wls" if method == "plain" else method
-                )
-            except AsbuiltError as problem:
-                errors[label] = (np.nan,) * len(held)
-                took += f" {label}: {problem}"
-                continue
-            if label == "auto":
-                seconds = time.perf_counter() - start
-                took = "delay " + ", ".join(each.text for each in late.recordings) + "; "
-                took += result.notes[0].removeprefix("Chosen automatically: ").split(" predicts")[0]
-            if label == "auto":
-                best = result
-                repeated = tuple(measure_repeated_share(used, each) for each in held)
-            found = [validate_samples(result, each) for each in held]
-            errors[label] = tuple(100 * each.metrics_as_built.relative_error for each in found)
-            masses[label] = mass_text(result)
-            if label == "auto":
-                errors["CAD"] = tuple(100 * each.metrics_cad.relative_error for each in found)
-                excess["CAD"] = tuple(
-                    excess_over(each.error, each.measured - each.predicted_cad, each.t)
-                    for each in found
-                )
-            if label == "plain" and best is not None:
-                again = [validate_samples(best, each) for each in held]
-                errors[SAME] = tuple(100 * each.metrics_as_built.relative_error for each in again)
-                excess["plain"] = _paired(again, found)
-    label = "+".join(logs[k].source.rpartition("/")[2] for k in train)
-    told = label + (", tilt" if tilt else "")
-    return Row(name, told, errors, masses, took, seconds, repeated, excess)
+        yield make_row(name, label, way, study, repeats, seconds)
 
 
-def _paired(own: list[Validation], other: list[Validation]) -> tuple[Excess, ...]:
-    return tuple(
-        excess_over(each.error, beside.error, each.t)
-        for each, beside in zip(own, other, strict=True)
+def make_row(
+    name: str, label: str, way: str, study: Study, repeats: Sequence[bool], seconds: float
+) -> Row:
+    """Return the row of a study."""
+    found = study.validations
+    chosen = [note for note in study.result.notes if note.startswith("Chosen automatically")]
+    return Row(
+        name,
+        label,
+        way,
+        tuple(Path(each.source.partition(", held out")[0]).stem for each in found),
+        tuple(each.metrics_as_built.relative_error for each in found),
+        tuple((each.metrics_exported or each.metrics_as_built).relative_error for each in found),
+        tuple(each.metrics_cad.relative_error for each in found),
+        tuple(repeats),
+        tuple(
+            block_energies(each)
+            for each, same in zip(found, repeats, strict=True)
+            if not same or all(repeats)
+        ),
+        tuple(each.text for each in study.effects if each.in_model),
+        " ".join(chosen).removeprefix("Chosen automatically: ").partition(" (")[0],
+        seconds,
     )
 
 
-def mass_text(result: IdentificationResult) -> str:
-    """Return total mass in that of CAD, and the ratio of the link furthest from CAD."""
-    masses = exported_masses(result)
-    if masses is None or masses.total_cad is None:
-        return "none"
-    _, cad, built = zip(*masses.links, strict=True)
-    ratios = np.array(built) / np.array(cad, dtype=np.float64)
-    worst = float(np.max(np.maximum(ratios, 1.0 / ratios))) if ratios.min() > 0.0 else np.inf
-    return f"{masses.total_as_built / masses.total_cad:.2f} ({worst:.1f})"
+def block_energies(found: Validation) -> tuple[float, ...]:
+    """Return the squared error of each time block in the squared torque of the recording."""
+    t = found.t
+    seconds = max(SHORTEST, float(t[-1] - t[0]) / BLOCKS)
+    block = np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1]
+    squares = np.bincount(block, np.nansum(found.error**2, axis=1))
+    return tuple((squares / np.nansum(found.measured**2)).tolist())
 
 
-def measure(data: Path = SHARED) -> dict[str, float | str]:
-    """Return the mean relative error [%] of each method on other motions, by robot."""
-    if not (data / "data").is_dir():
-        return {"skipped": "no recordings beside the repository"}
-    return report(data, ())
+def measure_rows(names: Sequence[str], data: Path, known: set[tuple[str, str]]) -> Iterator[Row]:
+    """Yield the rows of robots by name, without sets that are known; of all without names."""
+    for name, robot, model, logs in recorded_robots(names or (*ROBOTS, *SINGLE), data):
+        for train in sets_of(robot):
+            label = "+".join(Path(logs[k].source).stem for k in train)
+            if (name, label) not in known:
+                yield from measure_set(name, robot, model, logs, train)
+
+
+def format_errors(row: Row | None, errors: Callable[[Row], Sequence[float]]) -> str:
+    """Return errors in percent, those on repeated motion with `=`."""
+    if row is None or row.problem:
+        return "-"
+    listed = zip(errors(row), row.repeats, strict=True)
+    return " ".join(f"{100 * error:.2f}{'=' if same else ''}" for error, same in listed)
+
+
+def print_set(rows: dict[str, Row], before: dict[str, Row]) -> None:
+    """Print a set of recordings: a line a way, and what the default loses."""
+    default = rows.get("default")
+    first = next(iter(rows.values()))
+    print(f"\n{first.robot} from {first.train}", flush=True)
+    for way, row in rows.items():
+        text = row.problem or f"{format_errors(row, lambda each: each.errors):<40}{row.took}"
+        print(f"    {way:<12}{text}")
+    if default is None or default.problem:
+        return
+    print(f"    {'exported':<12}{format_errors(default, lambda each: each.exported)}")
+    print(f"    {'CAD':<12}{format_errors(default, lambda each: each.cad)}")
+    if "default" in before:
+        print(f"    {'before':<12}{format_errors(before['default'], lambda each: each.errors)}")
+    for effect in default.effects:
+        print(f"    in the model: {effect}")
+
+
+def best_way(rows: dict[str, Row]) -> Row | None:
+    """Return the row of the least error on other motion."""
+    good = [row for row in rows.values() if not row.problem and np.isfinite(row.error)]
+    return min(good, key=lambda row: row.error, default=None)
+
+
+def summarise(table: Table, before: Table) -> dict[str, float]:
+    """Print a line a set, count where the default is worse than the best way, return numbers."""
+    print(f"\n{'':<44}{'before':>8}{'default':>9}{'plain':>8}{'best':>8}  way, default to best")
+    worse = counted = lost = 0
+    numbers: dict[str, float] = {}
+    for (robot, train), rows in table.rows.items():
+        default = rows.get("default")
+        best = best_way(rows)
+        if default is None or default.problem or best is None:
+            continue
+        counted += 1
+        over, error = excess_over(default, best) if best is not default else (0.0, 0.0)
+        far = default.error > (1.0 + WORSE) * best.error
+        worse += far
+        old = before.rows.get((robot, train), {}).get("default")
+        plain = rows.get("plain")
+        note = f"{100 * over:+.1f} +- {100 * error:.1f} %" + (" WORSE" if far else "")
+        if old is not None and not old.problem:
+            change, spread = excess_over(default, old)
+            if change > spread and change > 1e-3:
+                lost += 1
+                note += f"; to before {100 * change:+.1f} +- {100 * spread:.1f} %"
+        listed = [
+            np.nan if row is None or row.problem else 100 * row.error
+            for row in (old, default, plain, best)
+        ]
+        print(
+            f"{robot[:18]:<19}{train[:24]:<25}{listed[0]:8.2f}{listed[1]:9.2f}{listed[2]:8.2f}"
+            f"{listed[3]:8.2f}  {best.way}, {note}"
+        )
+        numbers[f"{robot} {train}"] = 100 * default.error
+    print(
+        f"\nThe default is worse than the best way by more than {100 * WORSE:g} % in {worse} of"
+        f" {counted} sets; worse than before by more than its standard error in {lost}."
+    )
+    return numbers | {"worse": float(worse), "sets": float(counted)}
+
+
+def read_table(path: Path | None) -> Table:
+    """Return the rows of a file."""
+    table = Table()
+    if path is not None and path.exists():
+        for line in path.read_text().splitlines():
+            table.add(Row(**{k: freeze(value) for k, value in json.loads(line).items()}))
+    return table
+
+
+def freeze(value: Any) -> Any:
+    """Return lists of JSON as the tuples that they were."""
+    return tuple(map(freeze, value)) if isinstance(value, list) else value
 
 
 def report(
-    data: Path, names: tuple[str, ...], delay: str | None = "auto"
-) -> dict[str, float | str]:
-    """Print the table, and return the means."""
-    scratch = Path("out")
-    scratch.mkdir(exist_ok=True)
-    found: dict[tuple[str, str], list[float]] = {}
-    excess: dict[tuple[str, str], list[Excess]] = {}
-    for row in rows(data, scratch, names, delay):
-        for over in row.excess:
-            excess.setdefault((row.robot, over), []).extend(row.on_other_motions(over))
-        print(f"{row.robot} from {row.train}: {row.took} ({row.seconds:.1f} s)")
-        for method, errors in row.errors.items():
-            found.setdefault((row.robot, method), []).extend(errors)
-            listed = " ".join(
-                f"{error:7.2f}{'=' if near >= REPEATED else ' '}"
-                for error, near in zip(errors, row.repeated, strict=True)
-            )
-            print(f"    {method:<20}{listed}   mass {row.masses.get(method, '')}", flush=True)
-        for over, each in row.excess.items():
-            print(f"    auto over {over:<10}{', '.join(one.text for one in each)}", flush=True)
-    numbers: dict[str, float | str] = {
-        f"{robot}_{method}_percent": float(np.mean(errors))
-        for (robot, method), errors in found.items()
-    }
-    for (robot, over), each in excess.items():
-        values = 100 * np.array([one.value for one in each])
-        mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
-        worse = [one.text for one in each if one.sure]
-        print(
-            f"{robot}: error of auto over that of {over} on the same samples of {len(each)} other"
-            f" motions: {mean:+.1f} +- {error:.1f} % (worst {values.max():+.1f} %); larger beyond"
-            f" one standard error: {', '.join(worse) or 'nowhere'}"
-        )
-        numbers[f"{robot}_auto_over_{over}_percent"] = mean
-        numbers[f"{robot}_worse_than_{over}"] = float(len(worse))
-    for over in ("plain", "CAD"):
-        together = [one for (_, which), each in excess.items() if which == over for one in each]
-        surest = max(one.value / one.error for one in together)
-        p = min(1.0, float(stdtr(BLOCKS - 1, -surest)) * len(together))
-        print(
-            f"auto over {over}: larger beyond one standard error in {sum(e.sure for e in together)}"
-            f" of {len(together)} (by chance in 16 %), by {surest:.1f} of them at most (p = {p:.2g}"
-            " for as many comparisons)"
-        )
-        numbers[f"worse_than_{over}_p"] = p
-    return numbers
+    names: Sequence[str], data: Path = SHARED, out: Path | None = None, beside: Path | None = None
+) -> dict[str, float]:
+    """Measure what the file does not have yet, print the table, and return its numbers."""
+    table = read_table(out)
+    before = read_table(beside)
+    for row in _measured(names, data, set(table.rows), before):
+        table.add(row)
+        if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            with out.open("a") as file:
+                file.write(json.dumps(asdict(row)) + "\n")
+    return summarise(table, before)
+
+
+def _measured(
+    names: Sequence[str], data: Path, known: set[tuple[str, str]], before: Table
+) -> Iterable[Row]:
+    """Yield rows as they are measured, and print each set when it is whole."""
+    rows: dict[str, Row] = {}
+    for row in measure_rows(names, data, known):
+        yield row
+        rows[row.way] = row
+        if len(rows) == len(WAYS):
+            print_set(rows, before.rows.get(row.key, {}))
+            rows = {}
+
+
+def measure(data: Path = SHARED) -> dict[str, float | str]:
+    """Return the error of the default on other motion [%], by set of recordings."""
+    if not (data / "data").is_dir():
+        return {"skipped": "no recordings beside the repository"}
+    return {**report((), data)}
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, default=SHARED)
     parser.add_argument("robots", nargs="*", help="robots (default: all)")
-    parser.add_argument("--delay", choices=("auto", "none"), default="auto")
-    arguments = parser.parse_args()
-    delay = None if arguments.delay == "none" else arguments.delay
-    report(arguments.data, tuple(arguments.robots), delay)
+    parser.add_argument("--ways", help="ways, separated by commas (default: all)")
+    parser.add_argument("--out", type=Path, help="file of rows, which is continued")
+    parser.add_argument("--beside", type=Path, help="rows of another tree")
+    given = parser.parse_args()
+    if given.ways:
+        for way in set(WAYS) - set(given.ways.split(",")):
+            WAYS.pop(way)
+    report(given.robots, given.data, given.out, given.beside)

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples

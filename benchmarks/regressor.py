@@ -10,7 +10,7 @@ import pinocchio as pin
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics import newton_euler
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
 from peer import best, pinocchio_model
 

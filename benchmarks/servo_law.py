@@ -29,7 +29,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.goal_profile import derive_goal_path
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from commands import JOINTS, OTHERS, TRAINED

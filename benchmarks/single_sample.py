@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
 from asbuilt.dynamics.torque_model import TorqueModel
 from peer import pinocchio_model

@@ -19,7 +19,10 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.prediction import validate_samples
 from drive_terms import SHARED, UR10E_SHEET
-from other_motions import PLAIN_CUTOFF, ROBOTS, Robot
+from recorded_robots import USUAL, Robot
+
+PLAIN_CUTOFF = 5.0
+"""Cutoff [Hz] of a plain fit."""
 
 METHODS = ("auto", "consistent", "ridge")
 BAXTER = Robot(
@@ -56,7 +59,7 @@ def report(data: Path) -> dict[str, list[float]]:
     scratch = Path("out")
     scratch.mkdir(exist_ok=True)
     for name, place, start, stop in WINDOWS:
-        robot = BAXTER if name == "Baxter" else ROBOTS[name]
+        robot = BAXTER if name == "Baxter" else USUAL[name]
         model = load_robot(str(data / "models" / robot.description))
         options, folder = dict(robot.options), data / "data" / robot.folder
         if "gain" in options:

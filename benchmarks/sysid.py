@@ -25,8 +25,8 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples

@@ -9,6 +9,9 @@ better than CAD, and then must not be refused.
     python benchmarks/verdicts.py --robots 60 --out out/verdicts.jsonl
     python benchmarks/verdicts.py --recorded UR10e AIRBOT --out out/recorded.jsonl
 
+A recording of a robot with a single motion promises by its first part, and its rest is the other
+motion. Logs of two arms of one make promise nothing of each other, and are left out.
+
 Rows are added to the file, and cases that it has are not measured again. Rules were settled on the
 virtual robots below 30, the LWR4+, the UR10e and the Kinova; the others are the test. "UNTESTED"
 promises nothing, and is right where no other motion was given.
@@ -19,29 +22,33 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.validation.generalisation.coverage import measure_repeated_share
-from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.study_options import ValidationOptions
 from asbuilt.workflow.validation import validate
 from drive_terms import SHARED
 from effects import case
-from other_effects import ONLY_SETS, recorded_robots
 from other_motions import REPEATED
+from recorded_robots import ROBOTS, SINGLE, recorded_robots, sets_of
 
 TRUSTED = 1.5
 """Error on another motion, in multiples of what was promised, up to which "USE" is right."""
 REASONED = ("held_out_repeats", "motion_narrow", "motion_slow", "nothing_held_out")
 """Reasons by which the first line says that other motion was not tested."""
+FIRST_PART = 0.6
+"""Part of a single motion that is identified from."""
 SETTLED_ON = (*(str(k) for k in range(30)), "LWR4+", "UR10e", "Kinova")
 """Cases by which the rules were settled."""
 
@@ -105,10 +112,13 @@ def recorded_rows(
 
     With `validated` the next recording validates, and the others are what the promise is about.
     """
-    for name, robot, model, logs in recorded_robots(names, data):
-        single = () if name in ONLY_SETS else tuple((k,) for k in range(len(logs)))
+    for name, robot, model, logs in recorded_robots(names or (*ROBOTS, *SINGLE), data):
+        if robot.holdout:
+            yield from divided_rows(name, model, logs, known)
+        if robot.holdout or robot.two_arms:
+            continue
         pairs = tuple(combinations(range(len(logs)), 2)) if 2 < len(logs) < 6 else ()
-        for train in dict.fromkeys((*single, *pairs, *robot.sets)):
+        for train in dict.fromkeys((*sets_of(robot), *pairs)):
             label = f"{name} {'+'.join(Path(logs[k].source).stem for k in train)}"
             judges = [(max(train) + 1) % len(logs)] if validated else []
             label += "".join(f" | {Path(logs[k].source).stem}" for k in judges)
@@ -125,10 +135,45 @@ def recorded_rows(
             except AsbuiltError as problem:
                 yield _failed(label, problem)
                 continue
-            used = [prepare_samples(logs[k], study.result.chain) for k in train]
+            used = [logs[k] for k in train]
             for k in others:
-                near = measure_repeated_share(used, prepare_samples(logs[k], study.result.chain))
-                yield _row(label, Path(logs[k].source).stem, study, logs[k], near >= REPEATED)
+                other = Path(logs[k].source).stem
+                yield _row(label, other, study, logs[k], _repeats(study, used, logs[k]))
+
+
+def divided_rows(
+    name: str, model: RobotModel, logs: Sequence[Recording], known: set[str]
+) -> Iterator[Row]:
+    """Yield the rows of recordings whose first part is identified from, and the rest predicted."""
+    for log in logs:
+        label = f"{name} {Path(log.source).stem}, first part"
+        if label in known:
+            continue
+        end = int(FIRST_PART * len(log.t))
+        first, rest = (select_rows(log, rows) for rows in (slice(end), slice(end, None)))
+        try:
+            study = identify(model, first, checked=False)
+            yield _row(label, "rest", study, rest, _repeats(study, [first], rest))
+        except AsbuiltError as problem:
+            yield _failed(label, problem)
+
+
+def select_rows(log: Recording, rows: slice) -> Recording:
+    """Return a part of a recording."""
+    arrays = {
+        field.name: getattr(log, field.name)[rows]
+        for field in fields(log)
+        if isinstance(getattr(log, field.name), np.ndarray)
+        and len(getattr(log, field.name)) == len(log.t)
+    }
+    return replace(log, **arrays, source=f"{log.source}, {'first part' if rows.stop else 'rest'}")
+
+
+def _repeats(study: Study, used: Sequence[Recording], other: Recording) -> bool:
+    """Return whether a recording is of the motion fitted."""
+    chain = study.result.chain
+    before = [prepare_samples(log, chain) for log in used]
+    return measure_repeated_share(before, prepare_samples(other, chain)) >= REPEATED
 
 
 def _row(label: str, other: str, study: Study, log: Any, repeats: bool = False) -> Row:

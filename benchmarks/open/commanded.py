@@ -16,7 +16,7 @@ from prepare import Array, Problem, cut_logs, write_facts
 from task import Task
 
 from asbuilt.description.load import load_robot
-from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.mjcf import export_mjcf

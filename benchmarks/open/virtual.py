@@ -20,7 +20,7 @@ from task import HERE, Task
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.writers.models.urdf import format_urdf

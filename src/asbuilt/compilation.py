@@ -203,7 +203,7 @@ def compile_kernels(wanted: Kernel, report: Callable[[float], None]) -> None:
     """
     from asbuilt.executor import count_cores, open_workers  # noqa: PLC0415 - only where something is compiled
 
-    missing = [each for each in KERNELS if each is wanted or each.usual]
+    missing = [kernel for kernel in KERNELS if kernel is wanted or kernel.usual]
     missing = [each for each in missing if not each.is_on_disk()]
     report(0.0)
     count = min(len(missing), count_cores())

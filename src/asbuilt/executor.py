@@ -183,10 +183,12 @@ def run_in_order(
     numbered = list(enumerate(tasks))
     found = {each.task[0]: each for each in workers.run(partial(_run_numbered, function), numbered)}
     outcomes = [found[number] for number, _ in numbered]
-    for each in outcomes:
-        if each.problem is not None:
-            raise each.error or AsbuiltError(f"a worker did not finish its part: {each.problem}")
-    return [each.result for each in outcomes]  # type: ignore[misc]
+    for outcome in outcomes:
+        if outcome.problem is not None:
+            raise outcome.error or AsbuiltError(
+                f"a worker did not finish its part: {outcome.problem}"
+            )
+    return [outcome.result for outcome in outcomes]  # type: ignore[misc]
 
 
 def _run_numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:

@@ -213,7 +213,7 @@ def list_findings(
 def _write_paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
     """Return the lines of findings of one code: the first message, the other places by name."""
     first = group[0]
-    names = [place for each in group[1:] if (place := each.joint or each.link)]
+    names = [place for finding in group[1:] if (place := finding.joint or finding.link)]
     others = f"; the same holds for {join_names(names)}" if names else ""
     return textwrap.wrap(
         replace(first, message=first.message + others).as_line(cure_text),

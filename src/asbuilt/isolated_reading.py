@@ -266,7 +266,7 @@ def _ask(
         largest=memory,
         disk=LIMITS.disk,
     )
-    return json.loads(content), [np.frombuffer(each, dtype=np.float64) for each in arrays]
+    return json.loads(content), [np.frombuffer(array, dtype=np.float64) for array in arrays]
 
 
 def _take_idle() -> Child | None:
@@ -346,6 +346,6 @@ def _answer(
     except OSError:
         error = {"message": f"{path} unpacks to more than {disk / 1e9:.3g} GB"}
     else:
-        values = [np.ascontiguousarray(each, np.float64) for each in arrays]
+        values = [np.ascontiguousarray(array, np.float64) for array in arrays]
         return [json.dumps(document).encode(), *values]
     return [json.dumps({"error": error}).encode()]

@@ -40,7 +40,7 @@ def list_known_fields(schema: Mapping[str, Any], location: Sequence[int | str]) 
     places = _list_variants(schema, schema)
     for step in location:
         inner = [each for place in places for each in _enter_place(place, step)]
-        places = [each for place in inner for each in _list_variants(place, schema)] or places
+        places = [variant for place in inner for variant in _list_variants(place, schema)] or places
     return [name for place in places for name in place.get("properties", {})]
 
 
@@ -49,7 +49,7 @@ def _list_variants(place: Mapping[str, Any], schema: Mapping[str, Any]) -> list[
     if "$ref" in place:
         return _list_variants(schema["$defs"][place["$ref"].rpartition("/")[2]], schema)
     members = [*place.get("anyOf", ()), *place.get("allOf", ())]
-    return [each for member in members for each in _list_variants(member, schema)] or [place]
+    return [variant for member in members for variant in _list_variants(member, schema)] or [place]
 
 
 def _enter_place(place: Mapping[str, Any], step: int | str) -> list[Mapping[str, Any]]:
@@ -108,8 +108,8 @@ def find_app_modules(name: str) -> list[str]:
         for app in pkgutil.iter_modules([place]):
             if app.name == name:
                 found.append(f"{APPS}.{name}")
-            for each in pkgutil.iter_modules([f"{place}/{app.name}"]):
-                if each.name == name:
+            for module in pkgutil.iter_modules([f"{place}/{app.name}"]):
+                if module.name == name:
                     found.append(f"{APPS}.{app.name}.{name}")
     return found
 
@@ -190,4 +190,4 @@ def _list_modules(place: str) -> list[str]:
     folder = getattr(import_module(place), "__path__", None)
     if folder is None:
         return [place]
-    return [each.name for each in pkgutil.walk_packages(folder, f"{place}.")]
+    return [package.name for package in pkgutil.walk_packages(folder, f"{place}.")]

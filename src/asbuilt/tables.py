@@ -322,7 +322,9 @@ class Table:
         >>> Table.of([1 + 2j], columns).as_csv().split()
         ['part,size', '1.0,2.23606797749979']
         """
-        cells = [attrgetter(each.of) if isinstance(each.of, str) else each.of for each in columns]
+        cells = [
+            attrgetter(column.of) if isinstance(column.of, str) else column.of for column in columns
+        ]
         rows = tuple(tuple(cell(item) for cell in cells) for item in items)
         return cls(tuple(columns), rows, title, **rest)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import LinkInertia, bundled_robot, load_robot, robot_names
-from asbuilt.description.consistency import find_inconsistencies
+from asbuilt.description.plausibility import find_inconsistencies
 from asbuilt.dynamics import inverse_dynamics, mass_matrix
 from asbuilt.errors import DescriptionError
 

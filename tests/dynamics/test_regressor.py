@@ -20,7 +20,7 @@ from asbuilt.dynamics import (
     parameter_values,
     regressor,
 )
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.dynamics.regressor import find_joint_support
 from asbuilt.errors import UsageError

@@ -18,7 +18,7 @@ from asbuilt.dynamics import (
     inverse_dynamics,
     mass_matrix,
 )
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.errors import UsageError
 
 CASES = [(style, n) for style in ("general", "distal", "proximal") for n in (1, 2, 7, 12)]

@@ -97,8 +97,12 @@ def groups() -> dict[str, list[Case]]:
         for what, text in corpus.sheets()
     ]  # fmt: skip
     found["motions"] = [
-        Case(what, ("program", "two-link", "@m.csv", "--format", "csv", "-o", "p"), {"m.csv": data},
-             strict=False)
+        Case(
+            what,
+            ("program", "two-link", "@m.csv", "--format", "csv", "-o", "p"),
+            {"m.csv": data},
+            strict=False,
+        )
         for what, data in corpus.damaged(corpus.MOTION.encode(), rng, 25)
     ]
     found["options"] = [Case(" ".join(words)[:60], words, {}) for words in corpus.OPTIONS]

@@ -24,7 +24,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation import random_fourier
 from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment import SignalChain
-from asbuilt.workflow.options import parse_horizons
+from asbuilt.workflow.study_options import parse_horizons
 
 pytest.importorskip("mujoco")
 

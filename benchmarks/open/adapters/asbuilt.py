@@ -33,8 +33,8 @@ from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 from asbuilt.workflow.calibration import identify_moments
-from asbuilt.workflow.options import PayloadOptions
 from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_options import PayloadOptions
 from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.tables.mass_tables import exported_masses
 

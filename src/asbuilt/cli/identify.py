@@ -33,7 +33,7 @@ from asbuilt.cli.arguments.options import (
     require_distinct_logs,
     share_workers,
 )
-from asbuilt.workflow.options import (
+from asbuilt.workflow.study_options import (
     AUTOMATIC,
     PayloadOptions,
     StudyOptions,

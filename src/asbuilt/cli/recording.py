@@ -98,7 +98,7 @@ def check(
     if not proposals and any(_is_cured_by_sheet(found) for found in checks):
         proposals = _propose_sheets(described, log, reading)
     document = writers.check_document(model, checks, carried)
-    document["sheets"] = {str(path): each.text for path, each in proposals.items()}
+    document["sheets"] = {str(path): proposal.text for path, proposal in proposals.items()}
     files = dict(written)
     if out is not None:
         files |= writers.write_check_page(out, recordings, checks, describe_cure)
@@ -164,9 +164,9 @@ def _tell_unwritten(
     """Return for each log without a new sheet why it has none."""
     return "".join(
         f"\n\n{log.name} needs no sheet."
-        if not each.content
+        if not proposal.content
         else f"\n\nThe sheet beside {log.name} stays as it is."
-        for log, each in proposals.items()
+        for log, proposal in proposals.items()
         if f"sheet of {log.name}" not in written
     )
 
@@ -176,18 +176,20 @@ def _print_sheets(proposals: dict[Path, experiment.SheetProposal]) -> str:
     return "".join(
         "\n\n"
         + wrap_text(
-            f"With this sheet {log.name} is {each.outcome} (--write-sheet writes it beside the"
+            f"With this sheet {log.name} is {proposal.outcome} (--write-sheet writes it beside the"
             " log):"
         )
-        + f"\n\n{each.text.rstrip()}"
-        for log, each in proposals.items()
-        if each.changed
+        + f"\n\n{proposal.text.rstrip()}"
+        for log, proposal in proposals.items()
+        if proposal.changed
     )
 
 
 def _add_sheet(problem: RecordingError, proposals: dict[Path, experiment.SheetProposal]) -> None:
     """Put the complete sheet in place of the cure of an error, if one reads the log."""
-    complete = [each for each in proposals.values() if each.changed and each.problem is None]
+    complete = [
+        proposal for proposal in proposals.values() if proposal.changed and proposal.problem is None
+    ]
     if complete:
         each = complete[0]
         problem.cure = Cure(

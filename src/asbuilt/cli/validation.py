@@ -47,7 +47,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import find_given_options, require_known_value
 from asbuilt.tables import wrap_text
-from asbuilt.workflow.options import (
+from asbuilt.workflow.study_options import (
     BLOCKS,
     ROLLOUT,
     ControllerOptions,
@@ -147,7 +147,7 @@ def validate(
             + "\n\n"
             + comparison.torque_table().as_text(full)
             + "\n"
-            + "\n".join(wrap_text(each.sentence) for each in verdicts)
+            + "\n".join(wrap_text(verdict.sentence) for verdict in verdicts)
             + "\n"
             + wrap_text(comparison.verdict())
             + ("\n" if simulated else "")

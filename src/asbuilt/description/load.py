@@ -11,7 +11,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from asbuilt.description.catalogue import bundled_robot, robot_names, suggest_robot
-from asbuilt.description.formats.registry import FORMATS, format_of, list_suffixes
+from asbuilt.description.formats.description_format import FORMATS, format_of, list_suffixes
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.free_base import BaseKind
@@ -40,7 +40,7 @@ def find_published_description(name: str) -> Path:
     package = find_spec("robot_descriptions")
     if package is None:
         raise MissingExtraError("robot_descriptions", "robots", f"the published robot {name}")
-    known = [each.name for each in iter_modules(package.submodule_search_locations)]
+    known = [module.name for module in iter_modules(package.submodule_search_locations)]
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
         more = f"; did you mean {near[0]!r}?" if near else ""

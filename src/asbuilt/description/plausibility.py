@@ -21,6 +21,21 @@ from asbuilt.description.structure.parts import ancestors
 from asbuilt.findings import Cure, Finding, join_names, rank_findings
 
 
+def find_inconsistencies(model: RobotModel) -> tuple[str, ...]:
+    """Return one sentence per physically inconsistent link.
+
+    Such as `"link 4: Ixx + Iyy < Izz by 0.0009 kg m^2 (about the centre of mass)"`.
+
+    Links are numbered from 1; `LinkInertia.inconsistency` states the condition (Wensing, Kim
+    and Slotine, 2018). A link whose mass properties the description does not give is passed over.
+    """
+    return tuple(
+        f"link {number}: {reason}"
+        for number, link in enumerate(model.links, start=1)
+        if link.inertia_known and (reason := link.inertia.inconsistency()) is not None
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Plausibility:
     """Thresholds of mass properties."""
@@ -226,7 +241,7 @@ def list_corrections(model: RobotModel) -> tuple[RobotModel, ...]:
     builds = _measure_links(model)
     unit = _find_common_unit(builds)
     if unit is not None:
-        return (_correct_links(model, dict.fromkeys((each.name for each in builds), unit)),)
+        return (_correct_links(model, dict.fromkeys((build.name for build in builds), unit)),)
     slips = {name: found for name, found in _find_slips(builds).items() if found}
     corrected = []
     for k in range(max(map(len, slips.values()), default=0)):
@@ -252,7 +267,7 @@ def _measure_links(model: RobotModel) -> list[_Build]:
     """Return how the links that carry some mass are built."""
     builds = [_measure_link(model, k) for k in range(model.n_links)]
     heaviest = max((link.inertia.mass for link in model.links), default=0.0)
-    return [each for each in builds if each is not None and each.mass > NEGLIGIBLE * heaviest]
+    return [build for build in builds if build is not None and build.mass > NEGLIGIBLE * heaviest]
 
 
 def _measure_link(model: RobotModel, index: int) -> _Build | None:
@@ -268,7 +283,7 @@ def _measure_link(model: RobotModel, index: int) -> _Build | None:
     points = [
         origin,
         link.inertia.com,
-        *(each.before[:3, 3] for each in model.moving_joints if each.parent == index),
+        *(joint.before[:3, 3] for joint in model.moving_joints if joint.parent == index),
         *(frame.placement[:3, 3] for frame in model.frames if frame.link == index),
     ]
     away = np.linalg.norm(np.array(points) - origin, axis=1)
@@ -281,27 +296,27 @@ def _check_sizes(builds: Sequence[_Build]) -> list[Finding]:
     if unit is not None:
         return [_report_units(builds, unit)]
     slips = _find_slips(builds)
-    return [_report_link(each, slips[each.name]) for each in builds if each.name in slips]
+    return [_report_link(build, slips[build.name]) for build in builds if build.name in slips]
 
 
 def _find_common_unit(builds: Sequence[_Build]) -> _Misreading | None:
     """Return the unit that explains most links, None if most are plausible or none does."""
-    wrong = [each for each in builds if each.is_implausible]
+    wrong = [build for build in builds if build.is_implausible]
     return _find_misreading(builds, UNITS, USUAL_DENSITY) if 2 * len(wrong) > len(builds) else None
 
 
 def _find_slips(builds: Sequence[_Build]) -> dict[str, list[_Misreading]]:
     """Return by implausible link the factors of its mass, and of its inertia, that explain it."""
-    right = [each.density for each in builds if not each.is_implausible]
+    right = [build.density for build in builds if not build.is_implausible]
     usual = float(np.median(right)) if right else USUAL_DENSITY
     return {
-        each.name: [
+        build.name: [
             slip
             for possible in (MASS_SLIPS, INERTIA_SLIPS)
-            if (slip := _find_misreading([each], possible, usual)) is not None
+            if (slip := _find_misreading([build], possible, usual)) is not None
         ]
-        for each in builds
-        if each.is_implausible
+        for build in builds
+        if build.is_implausible
     }
 
 
@@ -335,7 +350,7 @@ def _report_units(builds: Sequence[_Build], unit: _Misreading) -> Finding:
     return Finding(
         "description_units",
         "error",
-        f"links {join_names([each.name for each in builds])}: {unit.claim}: {worst.name} has"
+        f"links {join_names([build.name for build in builds])}: {unit.claim}: {worst.name} has"
         f" {_describe_build(worst)}; in SI units it has {_describe_build(right)}",
         Cure("write masses in kg and moments of inertia in kg m^2 in the description"),
     )
@@ -539,7 +554,7 @@ def make_link_finding(
 def add_plausibility(model: RobotModel, findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings with those of the description that say something new of a link."""
     said: Mapping[tuple[str, str | None], bool] = {
-        (each.code, each.link): True for each in findings
+        (finding.code, finding.link): True for finding in findings
     }
     new = [each for each in check_plausibility(model) if (each.code, each.link) not in said]
     return rank_findings([*new, *findings])

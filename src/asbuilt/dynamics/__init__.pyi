@@ -4,9 +4,9 @@ from .base.identifiability import StandardParameter as StandardParameter
 from .base.identifiability import parameter_verdicts as parameter_verdicts
 from .base.observation_rank import ObservationRank as ObservationRank
 from .base.observation_rank import observation_rank as observation_rank
+from .drives.drive_set import DriveSet as DriveSet
+from .drives.drive_set import available_terms as available_terms
 from .drives.position_servo import PositionServo as PositionServo
-from .drives.selection import DriveSet as DriveSet
-from .drives.selection import available_terms as available_terms
 from .drives.term import DriveTerm as DriveTerm
 from .drives.term import NonlinearParameter as NonlinearParameter
 from .drives.term import drive_term as drive_term

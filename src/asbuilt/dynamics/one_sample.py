@@ -12,8 +12,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.formula import STATE, Formula
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels import single_sample
 from asbuilt.dynamics.kernels.operations import ACT, ADD, MULTIPLY, NUMBER, OPERATIONS, SPEND
 from asbuilt.dynamics.kernels.recursion import build_layout

@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 
 
 def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:

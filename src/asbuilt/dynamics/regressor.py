@@ -15,7 +15,7 @@ from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.batches import flatten_array, run_over_samples, shape_joint_samples
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.kernels import rigid_body
 from asbuilt.dynamics.kernels.recursion import build_layout

@@ -1,9 +1,9 @@
 from .collision.constraint import Clearance as Clearance
 from .collision.constraint import measure_clearance as measure_clearance
 from .design.design import design_motion as design_motion
+from .design.design_options import DesignOptions as DesignOptions
 from .design.designed_motion import Design as Design
 from .design.multistart import SearchProgress as SearchProgress
-from .design.options import DesignOptions as DesignOptions
 from .design.static_poses import StaticDesign as StaticDesign
 from .design.static_poses import design_static_poses as design_static_poses
 from .design_findings import design_findings as design_findings

@@ -19,23 +19,12 @@ TRIED = 100
 """Random postures, and postures along the range of a motor, at which loops must close."""
 
 
-@dataclass(frozen=True)
-class AssumedLimits:
-    """Limits assumed if the description lacks them, revolute joints first, then prismatic ones.
+# Limits assumed if the description lacks them, revolute joints first, then prismatic ones.
 
-    | field | meaning and source |
-    |---|---|
-    | `range` | position limit, +- [rad, m]; one turn, and a short linear axis |
-    | `velocity` | velocity limit [rad/s, m/s]; slow for an arm |
-    | `ramp` | time to reach the velocity limit [s], gives the acceleration limit |
-    """
+ASSUMED_RANGE = (np.pi, 0.5)  # Position limit, +- [rad, m]; one turn, and a short linear axis
+ASSUMED_VELOCITY = (1.5, 0.5)  # Velocity limit [rad/s, m/s]; slow for an arm
+ASSUMED_RAMP = 0.4  # Time to reach the velocity limit [s], gives the acceleration limit
 
-    range: tuple[float, float] = (np.pi, 0.5)
-    velocity: tuple[float, float] = (1.5, 0.5)
-    ramp: float = 0.4
-
-
-ASSUMED = AssumedLimits()
 
 _UNITS = {
     "position": ("rad", "m"),
@@ -90,7 +79,7 @@ class MotionBounds:
             )
         given = cls.of(model)
         turns = np.array([joint.is_revolute for joint in model.joints])
-        reach = np.where(turns, *ASSUMED.range)
+        reach = np.where(turns, *ASSUMED_RANGE)
         lower = np.where(
             np.isfinite(given.lower),
             given.lower,
@@ -101,10 +90,10 @@ class MotionBounds:
             given.upper,
             np.where(np.isfinite(given.lower), given.lower + 2 * reach, reach),
         )
-        speed = np.where(turns, *ASSUMED.velocity)
+        speed = np.where(turns, *ASSUMED_VELOCITY)
         velocity = np.where(np.isfinite(given.velocity), given.velocity, speed)
         acceleration = np.where(
-            np.isfinite(given.acceleration), given.acceleration, velocity / ASSUMED.ramp
+            np.isfinite(given.acceleration), given.acceleration, velocity / ASSUMED_RAMP
         )
         middle = (lower + upper) / 2
         half = (upper - lower) / 2

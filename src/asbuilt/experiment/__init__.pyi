@@ -11,7 +11,6 @@ from .logs.formats.log_format import choose_log_format as choose_log_format
 from .logs.long_recordings import RecordingStream as RecordingStream
 from .logs.long_recordings import head_of as head_of
 from .logs.long_recordings import is_long as is_long
-from .logs.options import ReadingOptions as ReadingOptions
 from .logs.readers import check_readable as check_readable
 from .logs.readers import find_sheet as find_sheet
 from .logs.readers import find_table_layout as find_table_layout
@@ -19,6 +18,7 @@ from .logs.readers import group_files as group_files
 from .logs.readers import read_recording as read_recording
 from .logs.readers import read_recordings as read_recordings
 from .logs.readers import read_table as read_table
+from .logs.reading_options import ReadingOptions as ReadingOptions
 from .logs.recordings import Recorded as Recorded
 from .logs.recordings import RecordingLike as RecordingLike
 from .logs.recordings import as_recordings as as_recordings

@@ -208,7 +208,7 @@ class Recording:
             for name, *values in zip(self.joint_names, *limits, strict=True)
         )
         heads = ("joint", "position from", "to", "torque from", "to")
-        head = "".join(f"<th>{each}</th>" for each in heads)
+        head = "".join(f"<th>{head}</th>" for head in heads)
         return f"<table><caption>{html.escape(repr(self))}</caption><tr>{head}</tr>{rows}</table>"
 
     @property

@@ -30,10 +30,6 @@ from .effects.trials import evaluate_worth as evaluate_worth
 from .effects.wanted import TILT as TILT
 from .ensembles.ensemble import Ensemble as Ensemble
 from .ensembles.ensemble import draw_ensemble as draw_ensemble
-from .errors.block_scatter import ErrorBasis as ErrorBasis
-from .errors.block_scatter import widening as widening
-from .errors.uncertainty import Uncertainty as Uncertainty
-from .errors.uncertainty import estimate_block_uncertainty as estimate_block_uncertainty
 from .estimators.least_squares import WEIGHT_CONVERGENCE as WEIGHT_CONVERGENCE
 from .estimators.least_squares import estimate_wls as estimate_wls
 from .estimators.least_squares import fit_least_squares as fit_least_squares
@@ -70,9 +66,9 @@ from .information.triangular import triangular_factor as triangular_factor
 from .information.triangular import widen_factor as widen_factor
 from .result.as_built_parameters import as_built_parameters as as_built_parameters
 from .result.as_built_parameters import known_information as known_information
-from .result.conclusion import conclude as conclude
 from .result.determination import Determination as Determination
 from .result.determination import determination as determination
+from .result.estimate_to_result import conclude as conclude
 from .result.feasible import FeasibleInterval as FeasibleInterval
 from .result.feasible import describe_condition as describe_condition
 from .result.feasible import feasible_intervals as feasible_intervals
@@ -84,3 +80,7 @@ from .result.torque_prediction import TorqueMetrics as TorqueMetrics
 from .result.torque_prediction import expand_parameters as expand_parameters
 from .result.torque_prediction import predict_torque as predict_torque
 from .result.torque_prediction import torque_metrics as torque_metrics
+from .uncertainty.block_scatter import ErrorBasis as ErrorBasis
+from .uncertainty.block_scatter import widening as widening
+from .uncertainty.uncertainty import Uncertainty as Uncertainty
+from .uncertainty.uncertainty import estimate_block_uncertainty as estimate_block_uncertainty

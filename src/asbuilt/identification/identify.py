@@ -8,30 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
-from asbuilt.identification.errors.bias import OmittedBias
-from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
-from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.errors.nonlinear_errors import (
-    NonlinearErrors,
-    NonlinearPlace,
-    estimate_nonlinear_errors,
-)
-from asbuilt.identification.errors.pose_noise import ExpectedScores, PoseNoise, expect_pose_noise
-from asbuilt.identification.errors.uncertainty import (
-    Uncertainty,
-    estimate_block_uncertainty,
-    estimate_textbook_uncertainty,
-)
 from asbuilt.identification.estimators.least_squares import (
     estimate_wls,
     fit_least_squares,
@@ -44,7 +29,7 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
-from asbuilt.identification.result.conclusion import conclude
+from asbuilt.identification.result.estimate_to_result import conclude
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import (
     TorqueMetrics,
@@ -52,21 +37,33 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
     set_link_parameters,
 )
+from asbuilt.identification.uncertainty.bias import OmittedBias
+from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
+from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors, estimate_delay_errors
+from asbuilt.identification.uncertainty.nonlinear_errors import (
+    NonlinearErrors,
+    NonlinearPlace,
+    estimate_nonlinear_errors,
+)
+from asbuilt.identification.uncertainty.pose_noise import (
+    ExpectedScores,
+    PoseNoise,
+    expect_pose_noise,
+)
+from asbuilt.identification.uncertainty.uncertainty import (
+    Uncertainty,
+    estimate_block_uncertainty,
+    estimate_textbook_uncertainty,
+)
 
+# Say when friction that depends on load has settled: own choice, tested on virtual robots.
+#
+# `LOAD_MOST` fits are made; `LOAD_CONVERGENCE` is the fraction by which a fit must lower some
+# joint's squared error for another one to follow.
 
-@dataclass(frozen=True, slots=True)
-class LoadIterations:
-    """Say when friction that depends on load has settled: own choice, tested on virtual robots.
-
-    `most` fits are made; `convergence` is the fraction by which a fit must lower some joint's
-    squared error for another one to follow.
-    """
-
-    most: int = 6
-    convergence: float = 1e-4
-
-
-LOAD = LoadIterations()
+LOAD_MOST = 6
+LOAD_CONVERGENCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +111,19 @@ class Fit:
             return None
         weights = self.estimate.weights
         return fit_least_squares(kept, weights=weights, prior=self.design).beta
+
+    def next_to_omitted(self, places: Indices) -> tuple[Array, Array]:
+        """Return parameters (m,) next to effects that the model lacks, and their covariance (m, m).
+
+        The result's own values have the bias by those effects, and its square in their errors.
+        """
+        values = self.estimate.beta[places]
+        further = [each.covariance for each in (self.nonlinear, self.delay, self.omitted) if each]
+        covariance = sum(further, self.uncertainty.covariance)[np.ix_(places, places)]
+        if self.omitted is None:
+            return values, covariance
+        bias = self.omitted.bias[places]
+        return values - bias, covariance - np.outer(bias, bias)
 
     @property
     def delay_shift(self) -> Array | None:
@@ -237,11 +247,12 @@ def fit_samples(
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
     expected: ExpectedScores | None = None,
     kept: KeptRows | None = None,
+    kind: str = "",
 ) -> Fit:
     """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
     Scores that are expected of the true parameters are taken away (`expected`). Rows are shared
-    with others by `kept`.
+    with others by `kept`. An estimator that chooses among kinds of fits takes `kind`.
     """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
@@ -264,7 +275,7 @@ def fit_samples(
 
     seen = accumulate(model)
     of_pose: PoseNoise | None = None
-    if expected is None and any(any(each.pose_noise) for each in samples):
+    if expected is None and any(any(sample.pose_noise) for sample in samples):
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
 
@@ -280,6 +291,7 @@ def fit_samples(
             loading=loading,
             less=less,
             kept=kept,
+            kind=kind,
         )
 
     data = reduce(seen)
@@ -358,11 +370,11 @@ def _settle_own_load(
     """
     beta = estimate_wls(data).beta
     least = data.information.residual_energy(beta)
-    for _ in range(LOAD.most):
+    for _ in range(LOAD_MOST):
         data = reduce(set_link_parameters(data.model, data.base, beta))
         beta = estimate_wls(data).beta
         energy = data.information.residual_energy(beta)
-        if np.all(energy > (1.0 - LOAD.convergence) * least):
+        if np.all(energy > (1.0 - LOAD_CONVERGENCE) * least):
             break
         least = np.minimum(energy, least)
     return data

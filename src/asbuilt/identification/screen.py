@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
@@ -17,42 +16,24 @@ from asbuilt.tables import (
     wrap_text,
 )
 
+# Say how much of a summary one screen shows.
 
-@dataclass(frozen=True, slots=True)
-class ScreenRules:
-    """Say how much of a summary one screen shows.
-
-    Parameters
-    ----------
-    lines
-        Lines in all, of the 30 of a small terminal window; the others are for the files and the
-        next command.
-    effects, named_only
-        Effects in the model, and others, that are listed.
-    findings, finding_lines
-        Findings that are shown, and lines of each.
-    fewest
-        Findings that are shown however long the rest is.
-    joints
-        Joints that the table lists.
-    worth
-        Relative fall of the torque error from which an effect that is not in the model is listed.
-    effect_width
-        Characters of an effect next to its torque errors.
-    """
-
-    lines: int = 25
-    effects: int = 5
-    named_only: int = 2
-    findings: int = 5
-    finding_lines: int = 2
-    fewest: int = 1
-    joints: int = 12
-    worth: float = 0.1
-    effect_width: int = WIDTH - 16
+# Lines in all, of the 30 of a small terminal window; the others are for the files and the next
+# command
+SCREEN_LINES = 25
+# SCREEN_EFFECTS, SCREEN_NAMED_ONLY: effects in the model, and others, that are listed
+SCREEN_EFFECTS = 5
+SCREEN_NAMED_ONLY = 2
+# SCREEN_FINDINGS, SCREEN_FINDING_LINES: findings that are shown, and lines of each
+SCREEN_FINDINGS = 5
+SCREEN_FINDING_LINES = 2
+SCREEN_FEWEST = 1  # Findings that are shown however long the rest is
+SCREEN_JOINTS = 12  # Joints that the table lists
+# Relative fall of the torque error from which an effect that is not in the model is listed
+SCREEN_WORTH = 0.1
+SCREEN_EFFECT_WIDTH = WIDTH - 16  # Characters of an effect next to its torque errors
 
 
-RULES = ScreenRules()
 IN_THE_FIRST_LINE = ("held_out_repeats", "nothing_held_out")
 """Findings that the verdict, which the screen begins with, and the next command repeat."""
 
@@ -77,11 +58,11 @@ def compose_screen(
     """
     lines = [line for each in opening.split("\n") for line in wrap_text(each).split("\n")]
     lines += format_effects(effects, cure_text)
-    lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
-    named = {(each.effect, each.joint) for each in effects}
-    others = [each for each in findings if (each.effect, each.joint) not in named]
+    lines += ["", *joints.as_text(most=SCREEN_JOINTS).rstrip("\n").split("\n")]
+    named = {(effect.effect, effect.joint) for effect in effects}
+    others = [finding for finding in findings if (finding.effect, finding.joint) not in named]
     left = len(findings) - len(others)
-    lines += shorten_findings(others, RULES.lines - len(lines), cure_text, left=left)
+    lines += shorten_findings(others, SCREEN_LINES - len(lines), cure_text, left=left)
     return "\n".join(lines) + "\n"
 
 
@@ -103,8 +84,8 @@ def format_effects(
     ordered = [each for each in ordered if each.in_model or _is_worth_a_line(each)]
     lines: list[str] = []
     for head, most, part in (
-        ("In the model, which CAD lacks", RULES.effects, [e for e in ordered if e.in_model]),
-        ("Not in the model", RULES.named_only, [e for e in ordered if not e.in_model]),
+        ("In the model, which CAD lacks", SCREEN_EFFECTS, [e for e in ordered if e.in_model]),
+        ("Not in the model", SCREEN_NAMED_ONLY, [e for e in ordered if not e.in_model]),
     ):
         if part:
             rows = [(format_effect(each), format_effect_errors(each)) for each in part[:most]]
@@ -118,7 +99,7 @@ def format_effects(
 def _is_worth_a_line(each: FoundEffect) -> bool:
     """Return whether an effect that is not in the model changes what a user does."""
     of_log = each.effect in EFFECTS and EFFECTS[each.effect].of_log
-    large = each.error_after < (1.0 - RULES.worth) * each.error_before
+    large = each.error_after < (1.0 - SCREEN_WORTH) * each.error_before
     return bool(format_effect_errors(each)) and (of_log or large)
 
 
@@ -143,7 +124,7 @@ def format_effect(each: FoundEffect) -> str:
     scale, unit = _read_unit(each)
     short = f"{round_significant(scale * each.estimate, 2)} {unit}".rstrip()
     texts = [f"{where} {size}" for size in (format_size(each), short)]
-    return texts[0] if each.feasible or len(texts[0]) <= RULES.effect_width else texts[1]
+    return texts[0] if each.feasible or len(texts[0]) <= SCREEN_EFFECT_WIDTH else texts[1]
 
 
 def format_size(each: FoundEffect) -> str:
@@ -185,13 +166,13 @@ def shorten_findings(
     lines: list[str] = []
     shown = 0
     warnings = [e for e in findings if e.severity != "info" and e.code not in IN_THE_FIRST_LINE]
-    for finding in warnings[: RULES.findings]:
+    for finding in warnings[:SCREEN_FINDINGS]:
         label = f"{finding.severity.upper():<7}  "
         # Lines end at spaces: each costs up to a word.
-        width = RULES.finding_lines * (WIDTH - len(label)) - RULES.finding_lines * 8
+        width = SCREEN_FINDING_LINES * (WIDTH - len(label)) - SCREEN_FINDING_LINES * 8
         text = wrap_text(finding.brief(width, cure_text), label).split("\n")
         # Two lines more: an empty one before, and that on further findings behind.
-        if shown >= RULES.fewest and len(lines) + len(text) + 2 > room:
+        if shown >= SCREEN_FEWEST and len(lines) + len(text) + 2 > room:
             break
         lines += text
         shown += 1

@@ -23,8 +23,8 @@ from .residuals import analyse_residual as analyse_residual
 from .review.claimed_numbers import Claim as Claim
 from .review.review import Review as Review
 from .review.review import review_result as review_result
-from .rollout.errors import RolloutErrors as RolloutErrors
-from .rollout.errors import position_unit as position_unit
+from .rollout.position_errors import RolloutErrors as RolloutErrors
+from .rollout.position_errors import position_unit as position_unit
 from .rollout.rollout import Rollout as Rollout
 from .rollout.rollout import SimulatedMotion as SimulatedMotion
 from .rollout.rollout import rollout_findings as rollout_findings

@@ -15,29 +15,13 @@ from asbuilt.experiment.signal.spectrum import power_density
 Segments = tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ResidualSettings:
-    """Configure the analysis; own choices but for the lags (Ljung and Box, 1978).
+# Configure the analysis; own choices but for the lags (Ljung and Box, 1978).
 
-    Parameters
-    ----------
-    longest_lag
-        Lag up to which autocorrelation is evaluated [s].
-    ljung_box_lags
-        Lags of the test of Ljung and Box, if there are as many.
-    gap
-        A time step of this many median steps, or one that does not advance, ends a segment.
-    window
-        Samples of a window of Welch's spectrum.
-    """
-
-    longest_lag: float = 2.0
-    ljung_box_lags: int = 20
-    gap: float = 1.5
-    window: int = 1024
-
-
-SETTINGS = ResidualSettings()
+RESIDUAL_LONGEST_LAG = 2.0  # Lag up to which autocorrelation is evaluated [s]
+RESIDUAL_LJUNG_BOX_LAGS = 20  # Lags of the test of Ljung and Box, if there are as many
+# A time step of this many median steps, or one that does not advance, ends a segment
+RESIDUAL_GAP = 1.5
+RESIDUAL_WINDOW = 1024  # Samples of a window of Welch's spectrum
 
 
 def find_contiguous_segments(t: Array) -> Segments:
@@ -49,7 +33,7 @@ def find_contiguous_segments(t: Array) -> Segments:
     steps = np.diff(t)
     forward = steps[steps > 0]
     # Steps that do not advance end a segment as gaps do.
-    limit = SETTINGS.gap * float(np.median(forward)) if len(forward) else np.inf
+    limit = RESIDUAL_GAP * float(np.median(forward)) if len(forward) else np.inf
     cuts = np.flatnonzero((steps <= 0) | (steps > limit)) + 1
     return tuple(pairwise([0, *cuts.tolist(), len(t)])) if len(t) else ()
 
@@ -183,9 +167,9 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
     longest = max(stop - start for start, stop in segments)
     forward = np.diff(t)[np.diff(t) > 0]
     step = float(np.median(forward)) if len(forward) else 1.0
-    n_lags = max(1, min(round(SETTINGS.longest_lag / step), longest - 1))
+    n_lags = max(1, min(round(RESIDUAL_LONGEST_LAG / step), longest - 1))
     rho = np.column_stack([autocorrelation(column, segments, n_lags) for column in residual.T])
-    tests = [ljung_box(column, len(t), SETTINGS.ljung_box_lags) for column in rho.T]
+    tests = [ljung_box(column, len(t), RESIDUAL_LJUNG_BOX_LAGS) for column in rho.T]
     frequencies, spectrum = _estimate_spectrum(residual, segments, 1.0 / step)
     return ResidualAnalysis(
         joint_names=joint_names,
@@ -205,7 +189,7 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
 
 def _estimate_spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, Array]:
     """Return frequencies (F,) and one-sided density (F, n): Welch, Hann windows in each segment."""
-    window = min(SETTINGS.window, max(stop - start for start, stop in segments))
+    window = min(RESIDUAL_WINDOW, max(stop - start for start, stop in segments))
     total = np.zeros((window // 2 + 1, residual.shape[1]))
     weight = 0
     for start, stop in segments:

@@ -7,12 +7,6 @@ from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .information_efficiency import RecordedInformation as RecordedInformation
 from .information_efficiency import recorded_information as recorded_information
-from .options import ChannelOptions as ChannelOptions
-from .options import ControllerOptions as ControllerOptions
-from .options import GainOptions as GainOptions
-from .options import PayloadOptions as PayloadOptions
-from .options import StudyOptions as StudyOptions
-from .options import ValidationOptions as ValidationOptions
 from .prepare import Prepared as Prepared
 from .prepare import Progress as Progress
 from .prepare import is_trained_on as is_trained_on
@@ -23,6 +17,12 @@ from .rollout import roll_out_result as roll_out_result
 from .rollout import roll_out_robot as roll_out_robot
 from .study import Study as Study
 from .study import identify as identify
+from .study_options import ChannelOptions as ChannelOptions
+from .study_options import ControllerOptions as ControllerOptions
+from .study_options import GainOptions as GainOptions
+from .study_options import PayloadOptions as PayloadOptions
+from .study_options import StudyOptions as StudyOptions
+from .study_options import ValidationOptions as ValidationOptions
 from .validation import review as review
 from .validation import validate as validate
 from .validation import validate_robot as validate_robot

@@ -37,9 +37,9 @@ from asbuilt.identification.calibration.two_channels import (
 )
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.generalisation.payload_order import refuse_swapped
-from asbuilt.workflow.options import ChannelOptions, GainOptions, PayloadOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_options import ChannelOptions, GainOptions, PayloadOptions
 
 COMMON = 0.9
 """Least share of the samples of two channels that has equal time stamps."""

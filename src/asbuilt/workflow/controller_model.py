@@ -27,9 +27,9 @@ from asbuilt.validation import (
     validate_samples,
 )
 from asbuilt.validation.comparison.torque_change import tabulate_named_errors
-from asbuilt.workflow.options import ControllerOptions
 from asbuilt.workflow.prepare import prepare
 from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_options import ControllerOptions
 
 EXTERNAL = "tau_ext"
 

@@ -25,26 +25,17 @@ MULTIPLES = (0.2, 0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.2, 4.8, 7.0)
 """Cutoffs that are tried, in multiples of the one that the chain would choose."""
 
 
-@dataclass(frozen=True, slots=True)
-class SweepRules:
-    """Hold which cutoffs are tried, and which of them is taken."""
+# Hold which cutoffs are tried, and which of them is taken.
 
-    highest_share: float = 0.2
-    """No cutoff above this share of the sampling rate,"""
-    apart: float = 1.2
-    """nor one between that and a fraction of it so small that the two would be one."""
-    short: float = 15.0
-    """Length [s] below which a recording is short: it has no third block of 5 s."""
-    fewest: int = 10
-    """Held-out samples below which a cutoff is not tried."""
-    as_good: float = 1.02
-    """Held-out error, in multiples of the smallest, that counts as equally good.
-
-    Of these the lowest cutoff is taken.
-    """
+SWEEP_HIGHEST_SHARE = 0.2  # No cutoff above this share of the sampling rate,
+SWEEP_APART = 1.2  # Nor one between that and a fraction of it so small that the two would be one
+SWEEP_SHORT = 15.0  # Length [s] below which a recording is short: it has no third block of 5 s
+SWEEP_FEWEST = 10  # Held-out samples below which a cutoff is not tried
+# Held-out error, in multiples of the smallest, that counts as equally good. Of these the lowest
+# cutoff is taken.
+SWEEP_AS_GOOD = 1.02
 
 
-SWEEP = SweepRules()
 HOLDOUT = "blocks:5s:3"
 SHORT_HOLDOUT = "blocks:2s:3"
 """What is held out to choose by where the user holds nothing out, and of short recordings.
@@ -183,9 +174,9 @@ def sweep_cutoffs(
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
     tried = sorted(
-        map(float, cutoffs or _list_cutoffs(start.cutoff, SWEEP.highest_share * min(rates)))
+        map(float, cutoffs or _list_cutoffs(start.cutoff, SWEEP_HIGHEST_SHARE * min(rates)))
     )
-    short = min(recording.duration for recording in recordings) < SWEEP.short
+    short = min(recording.duration for recording in recordings) < SWEEP_SHORT
     rule = holdout or (SHORT_HOLDOUT if short else HOLDOUT)
     parse_rule(rule)
     base = find_base_parameters(model, drive)
@@ -200,7 +191,7 @@ def sweep_cutoffs(
             training, held_out = divide_recordings(recordings, at, rule)
             result = identify_samples(model, training, base=base, method=method)
             validations = [validate_samples(result, held) for held in held_out]
-            if min(item.t.size for item in validations) < SWEEP.fewest:
+            if min(item.t.size for item in validations) < SWEEP_FEWEST:
                 # Too low a cutoff leaves nothing of short blocks: it is passed over.
                 raise RecordingError("the low-pass leaves too few samples to validate")
         except AsbuiltError as problem:
@@ -234,11 +225,11 @@ def sweep_cutoffs(
         for trial, score, band in zip(found, scores, bands, strict=True)
     )
     # The lowest: it leaves the least noise in the regressor.
-    chosen = next(trial for trial in trials if trial.score <= SWEEP.as_good)
+    chosen = next(trial for trial in trials if trial.score <= SWEEP_AS_GOOD)
     worst = max(trials, key=lambda trial: trial.score)
     why = (
         f"{round_significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within"
-        f" {100 * (SWEEP.as_good - 1):.0f} % of the smallest; {round_significant(worst.cutoff)}"
+        f" {100 * (SWEEP_AS_GOOD - 1):.0f} % of the smallest; {round_significant(worst.cutoff)}"
         " Hz would"
         f" cost {100 * (worst.score - 1):.0f} % more."
     )
@@ -250,7 +241,7 @@ def sweep_cutoffs(
 
 def _list_cutoffs(usual: float, highest: float) -> list[float]:
     below = [
-        multiple * usual for multiple in MULTIPLES if multiple * usual * SWEEP.apart <= highest
+        multiple * usual for multiple in MULTIPLES if multiple * usual * SWEEP_APART <= highest
     ]
     # The last at the highest cutoff that the rate allows.
     return [*below, min(MULTIPLES[-1] * usual, highest)] if len(below) < len(MULTIPLES) else below

@@ -27,18 +27,18 @@ from asbuilt.identification.drives.drive_choice import (
     settle_nonlinear,
 )
 from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.effect_findings import is_sure, list_term_places
 from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.effects.families.tilt import Tilt
-from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.effects.search import Effects, find_effects
-from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
+from asbuilt.workflow.study_options import StudyOptions
+from asbuilt.workflow.tested_choice import LeftOut
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
@@ -226,7 +226,7 @@ def _fit_all(
     kept = KeptRows()
     model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
-    def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
+    def fitted(samples: Sequence[Samples], drive: DriveSet, kind: str = "") -> Fit:
         fit = fit_samples(
             model,
             samples,
@@ -239,19 +239,36 @@ def _fit_all(
             fitted_nonlinear=choice.fitted,
             expected=None if servo is None else servo.expected,
             kept=kept,
+            kind=kind,
         )
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)
 
     if options.refine is None or parts is None:
-        final = fitted(used, choice.drive)
-        unsure = _list_unsure(final, effects)
-        if unsure:
-            effects = effects.without(unsure)
-            choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
-            final = fitted(used, choice.drive)
-        # A second fit only where the final one sees what validation is to predict.
-        validated = fitted(prepared.training, choice.drive) if prepared.whole else final
+        kind = ""
+        while True:
+            final = _with_omitted_bias(fitted(used, choice.drive, kind), effects)
+            needless = _list_unsure(final, effects)
+            validated = final
+            if not needless:
+                # A second fit only where the final one sees what validation is to predict.
+                validated = (
+                    fitted(prepared.training, choice.drive, kind) if prepared.whole else final
+                )
+                test = LeftOut.of(validated, prepared) if servo is None else None
+                needless = set() if test is None else test.list_harmful(effects.found)
+            # One that goes can take another with it: asked until every effect that is left stays.
+            if needless:
+                effects = effects.without(needless)
+                choice = replace(
+                    choice, drive=drop_terms(choice.drive, needless, model.joint_names)
+                )
+                continue
+            # Once: what was left out decides between kinds of fits, and then has decided.
+            better = "" if kind or test is None else test.find_better_kind()
+            if not better:
+                break
+            kind = better
         left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
         return Fits(
             model, prepared, final, validated, choice, effects, flat, servo, None, left_out=left_out
@@ -273,29 +290,28 @@ def _fit_all(
     if servo is not None:
         late = tuple((delay.source, delay.digest) for delay in prepared.delay)
         prepared = replace(prepared, delay=make_recording_delays(servo, late))
+    final = _with_omitted_bias(final, effects)
     return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
+
+
+def _with_omitted_bias(fit: Fit, effects: Effects) -> Fit:
+    """Return a fit whose errors have the bias by effects that the model lacks."""
+    lacking = effects.lacking
+    return fit if lacking is None else replace(fit, omitted=lacking.bias(fit))
 
 
 def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
     """Return key and joint of effects that a fit of everything leaves under two standard errors.
 
-    The search is sure of them next to bodies near CAD; the final fit may hold bodies less.
+    The search is sure of them next to bodies near CAD; the final fit may hold bodies less. Values
+    are next to all others, those that the model lacks too.
     """
-    unsure = set[tuple[str, str]]()
-    covariance = fit.uncertainty.covariance
-    for effect in effects.found:
-        term = getattr(EFFECTS[effect.effect], "term", None)
-        if not effect.in_model or effect.joint is None or term is None:
-            continue
-        # That another form of friction is zero is no question, and fitted forms have values.
-        if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
-            continue
-        places = find_places(fit.base, effect.effect, fit.model.joint_names.index(effect.joint))
-        values = fit.estimate.beta[places]
-        square = float(values @ np.linalg.pinv(covariance[np.ix_(places, places)]) @ values)
-        if places.size and square < RULES.two_errors**2 * places.size:
-            unsure.add((effect.effect, effect.joint))
-    return unsure
+    tested = list_term_places(effects.found, fit.base, fit.model.joint_names)
+    return {
+        (effect.effect, str(effect.joint))
+        for effect, places in tested
+        if not is_sure(*fit.next_to_omitted(places))
+    }
 
 
 def _leave_out(

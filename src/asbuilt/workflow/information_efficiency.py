@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.excitation import InformationEfficiency, MotionBounds, information_efficiency
 from asbuilt.excitation.information.information import complete_limits
@@ -20,24 +20,17 @@ from asbuilt.experiment import Recording, RecordingStream, Samples, head_of
 from asbuilt.findings import Cure, join_names
 from asbuilt.workflow.prepare import prepare
 
+# Hold when a joint moved too little, and what is reported of it.
 
-@dataclass(frozen=True, slots=True)
-class EfficiencyRules:
-    """Hold when a joint moved too little, and what is reported of it."""
-
-    too_little: float = 1e-3
-    """Efficiency of a joint's worst parameter below which the joint moved too little."""
-    slow: float = 0.25
-    """Top speed, as a share of the limit, below which a joint moved slowly."""
-    narrow: float = 0.3
-    """Position range, as a share of the full one or of a turn, below which a joint moved little."""
-    beyond: float = 1.05
-    """Factor by which speeds or accelerations exceed a limit that is reported."""
-    most_named: int = 3
-    """Parameters named in the text."""
+# Efficiency of a joint's worst parameter below which the joint moved too little
+EFFICIENCY_TOO_LITTLE = 1e-3
+EFFICIENCY_SLOW = 0.25  # Top speed, as a share of the limit, below which a joint moved slowly
+# Position range, as a share of the full one or of a turn, below which a joint moved little
+EFFICIENCY_NARROW = 0.3
+EFFICIENCY_BEYOND = 1.05  # Factor by which speeds or accelerations exceed a limit that is reported
+EFFICIENCY_MOST_NAMED = 3  # Parameters named in the text
 
 
-RULES = EfficiencyRules()
 BETTER_MOTION = Cure("design a motion within the limits", call="design_motion")
 
 
@@ -95,8 +88,8 @@ class RecordedInformation:
             f"{self._word_excess()}"
         ]
         if self._lacking:
-            slow = [k for k in self._lacking if self.top_speed[k] < RULES.slow]
-            narrow = [k for k in self._lacking if self.travel[k] < RULES.narrow]
+            slow = [k for k in self._lacking if self.top_speed[k] < EFFICIENCY_SLOW]
+            narrow = [k for k in self._lacking if self.travel[k] < EFFICIENCY_NARROW]
             rest = [self.joint_names[k] for k in self._lacking if k not in {*slow, *narrow}]
             parts = [
                 self._list_shares(slow, self.top_speed, "of the speed limit"),
@@ -132,7 +125,9 @@ class RecordedInformation:
 
     @property
     def _lacking(self) -> list[int]:
-        return [k for k, part in enumerate(self.efficiency.by_joint) if part < RULES.too_little]
+        return [
+            k for k, part in enumerate(self.efficiency.by_joint) if part < EFFICIENCY_TOO_LITTLE
+        ]
 
     def _list_shares(self, joints: list[int], parts: Array, of_what: str) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
@@ -143,7 +138,7 @@ class RecordedInformation:
             f"{name} {factor:.2g} times"
             # Noise of derivatives exceeds limits a little.
             for name, factor in zip(self.joint_names, self.efficiency.beyond, strict=True)
-            if factor > RULES.beyond
+            if factor > EFFICIENCY_BEYOND
         ]
         text = (
             " The bound holds for the speeds and accelerations recorded, noise included, which"
@@ -155,7 +150,7 @@ class RecordedInformation:
         ratios = self.std_error_ratios
         names = self.efficiency.base.names
         # Of the joints that moved too little, the worst first.
-        worst = sorted(self._lacking, key=lambda k: -ratios[k])[: RULES.most_named]
+        worst = sorted(self._lacking, key=lambda k: -ratios[k])[:EFFICIENCY_MOST_NAMED]
         listed = [
             f"{names[index]} {float(f'{ratios[k]:.2g}'):g} times"
             if np.isfinite(ratios[k])

@@ -28,13 +28,13 @@ from asbuilt.experiment.signal.hold_out import (
 )
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.errors.pose_noise import with_equation_noise
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.pose_noise import with_equation_noise
 from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.generalisation.coverage import repeats
 from asbuilt.workflow.delays import Delays, settle_delays, settle_rates
-from asbuilt.workflow.options import AUTOMATIC, StudyOptions
+from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions
 
 Progress = Callable[[str, float], None]
 FEWEST = 10
@@ -79,6 +79,12 @@ class Prepared:
     delay: tuple[RecordingDelay, ...] = ()
     whole: tuple[Samples, ...] = ()
     motions: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def unseen(self) -> tuple[Samples, ...]:
+        """Samples that no fit to `training` has seen."""
+        # Recordings that are left out in turn are in the training samples.
+        return self.validation if self.motions else (*self.held_out, *self.validation)
 
 
 def prepare(

@@ -30,29 +30,20 @@ from asbuilt.identification.trajectories.servo_coordinates import (
 )
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
-from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.workflow.rollout import Simulated, SimulatedParts, drop_unused_servo
 
+# Hold lengths of windows, and when a refinement is worth its parameters.
 
-@dataclass(frozen=True, slots=True)
-class RefinementRules:
-    """Hold lengths of windows, and when a refinement is worth its parameters."""
-
-    usual: float = 0.5
-    """Length of the windows [s] unless rollouts are asked for."""
-    longest: float = 1.0
-    """Longest windows [s]: errors of the state at the start and unmodelled effects add up
-    in them."""
-    no_effect: float = 0.5
-    """Mean fall of the logarithmic likelihood by a parameter without effect."""
-    worth: float = 1.0
-    """Fall by a parameter from which a fit predicts better (Akaike, IEEE Trans. Automatic Control
-    19, 1974; the variance of scores is counted, Burnham and Anderson, Model Selection, 2002,
-    section 2.5)."""
-
-
-RULES = RefinementRules()
+REFINEMENT_USUAL = 0.5  # Length of the windows [s] unless rollouts are asked for
+# Longest windows [s]: errors of the state at the start and unmodelled effects add up in them
+REFINEMENT_LONGEST = 1.0
+REFINEMENT_NO_EFFECT = 0.5  # Mean fall of the logarithmic likelihood by a parameter without effect
+# Fall by a parameter from which a fit predicts better (Akaike, IEEE Trans. Automatic Control 19,
+# 1974; the variance of scores is counted, Burnham and Anderson, Model Selection, 2002, section
+# 2.5).
+REFINEMENT_WORTH = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +173,7 @@ def refine_study(
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
     began = time.perf_counter()
     given = drive
-    horizon = min(max(horizons, default=RULES.usual), RULES.longest)
+    horizon = min(max(horizons, default=REFINEMENT_USUAL), REFINEMENT_LONGEST)
     windows = _cut_windows(parts.trained, horizon)
     # Only under commands the servo is part of what moves the robot.
     driven = servo if kinds == {"command"} else None
@@ -211,7 +202,7 @@ def refine_study(
         other = refined(fitted(wider), before, begin)
         iterations += other.refinement.iterations
         # Akaike, a parameter a joint; and motion that was not fitted must agree.
-        gained = _measure_gain(best, other) > RULES.worth * n
+        gained = _measure_gain(best, other) > REFINEMENT_WORTH * n
         if gained and _is_better(best, other, wider, parts.held_out or parts.trained, horizon):
             best = replace(other, start=best.start)
             drive = wider
@@ -233,7 +224,7 @@ def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
     # Stribeck friction replaces Coulomb's: without it there is nothing to replace.
     if "coulomb" not in keys or term.key in keys:
         return False
-    return predict_fall(objective, found.refinement, term) > RULES.no_effect * n
+    return predict_fall(objective, found.refinement, term) > REFINEMENT_NO_EFFECT * n
 
 
 def _measure_gain(found: RefinedFit, other: RefinedFit) -> float:

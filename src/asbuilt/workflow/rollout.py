@@ -28,9 +28,9 @@ from asbuilt.identification.trajectories.windows import (
     cut_windows,
 )
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
-from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import find_unseeing
 from asbuilt.workflow.servo import with_described_servo, with_servo
+from asbuilt.workflow.study_options import ValidationOptions
 
 Simulated = tuple[Recording, Samples, DriveSignal]
 """A recording, the part of its motion that is simulated, and what drives it."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, read_described_servo
-from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import (
@@ -25,14 +25,14 @@ from asbuilt.experiment import (
 from asbuilt.experiment.command.servo_torque import drive_by_command, drop_slow_rows
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.uncertainty import estimate_recording_variances
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors
+from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, settle_rule
+from asbuilt.workflow.study_options import StudyOptions
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
@@ -118,7 +118,7 @@ def make_recording_delays(
         return ()
     # A stated delay is no estimate.
     estimate, error = (late, error) if error > 0.0 else (np.nan, np.nan)
-    return tuple(RecordingDelay(*each, estimate, error, late) for each in recordings)
+    return tuple(RecordingDelay(*recording, estimate, error, late) for recording in recordings)
 
 
 def _read_stated_delay(chain: SignalChain) -> float | None:

@@ -13,7 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.description.structure.free_base import refuse_ground
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
@@ -41,10 +41,8 @@ from asbuilt.validation import (
 from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict_error import choose_decisive_rollout
-from asbuilt.workflow.conclusion import conclude_study
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fits import fit_study
-from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import (
     Prepared,
     Progress,
@@ -54,6 +52,8 @@ from asbuilt.workflow.prepare import (
     with_settled_holdout,
 )
 from asbuilt.workflow.servo import drop_unexplained, make_recording_delays, settle_servo
+from asbuilt.workflow.study_options import BLOCKS, StudyOptions
+from asbuilt.workflow.study_result import conclude_study
 
 if TYPE_CHECKING:
     import polars as pl

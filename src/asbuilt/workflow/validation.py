@@ -34,7 +34,6 @@ from asbuilt.validation import (
 )
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
 from asbuilt.validation.verdicts.verdict_error import with_exported
-from asbuilt.workflow.options import AUTOMATIC, StudyOptions, ValidationOptions
 from asbuilt.workflow.prepare import (
     Progress,
     find_unseeing,
@@ -44,6 +43,7 @@ from asbuilt.workflow.prepare import (
 )
 from asbuilt.workflow.servo import has_open_servo, with_servo
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions, ValidationOptions
 
 
 def validate(

@@ -42,8 +42,8 @@ from .payload_format import PayloadFormat as PayloadFormat
 from .payload_format import read_stored_payload as read_stored_payload
 from .payload_format import write_payload as write_payload
 from .pictures.motion_view import motion_of_recording as motion_of_recording
-from .pictures.view import view_robot as view_robot
-from .pictures.view import write_picture as write_picture
+from .pictures.rollout_animation import view_robot as view_robot
+from .pictures.rollout_animation import write_picture as write_picture
 from .pictures.viewer import Viewer as Viewer
 from .program_writer import PROGRAM_WRITERS as PROGRAM_WRITERS
 from .program_writer import ProgramWriter as ProgramWriter

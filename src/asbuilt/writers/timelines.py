@@ -90,7 +90,7 @@ def _list_topics(
         yield track.name, STATE, [(t, {"name": own, "effort": x}) for t, own, x in samples]
     poses = zip(timeline.t.tolist(), timeline.q, strict=True)
     yield "position", STATE, [(t, {"name": names, "position": q}) for t, q in poses]
-    marks = [(each.time, each.severity, each.text) for each in timeline.marks]
+    marks = [(mark.time, mark.severity, mark.text) for mark in timeline.marks]
     yield "events", LOG, [(t, {"level": LEVELS[kind][0], "msg": text}) for t, kind, text in marks]
 
 
@@ -271,22 +271,24 @@ def timelines_of_validations(
     Positions come from the recording that was predicted, at the times of the prediction.
     """
     marks = tuple(
-        Mark(each.time, each.severity, each.text) for each in findings if each.time is not None
+        Mark(finding.time, finding.severity, finding.text)
+        for finding in findings
+        if finding.time is not None
     )
     return [
         Timeline(
-            recording_name(each.source),
+            recording_name(validation.source),
             model,
-            *_interpolate_positions(model, each.source, each.t, recordings),
+            *_interpolate_positions(model, validation.source, validation.t, recordings),
             (
-                Track("measured", each.t, each.measured),
-                Track("as_built", each.t, each.predicted),
-                Track("cad", each.t, each.predicted_cad),
-                Track("error", each.t, each.error),
+                Track("measured", validation.t, validation.measured),
+                Track("as_built", validation.t, validation.predicted),
+                Track("cad", validation.t, validation.predicted_cad),
+                Track("error", validation.t, validation.error),
             ),
             marks,
         )
-        for each in validations
+        for validation in validations
     ]
 
 
@@ -296,9 +298,10 @@ def _interpolate_positions(
     """Return times and positions (N, n) of a recording at times (N,), those that it covers."""
     none = np.empty(0), np.empty((0, model.n_joints))
     own = [
-        head_of(each)
-        for each in recordings
-        if isinstance(each, Recording | RecordingStream) and source.startswith(each.source)
+        head_of(recording)
+        for recording in recordings
+        if isinstance(recording, Recording | RecordingStream)
+        and source.startswith(recording.source)
     ]
     if not own:
         return none

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.apps.paper.facts import read_paper
+from asbuilt.apps.paper.reproduction import read_paper
 from asbuilt.description import load_robot
-from asbuilt.description.consistency import find_inconsistencies
+from asbuilt.description.plausibility import find_inconsistencies
 from asbuilt.dynamics import find_base_parameters
 from asbuilt.identification.bodies.standard_parameters import find_standard_parameters
 

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from asbuilt.apps.paper import reproduce_paper
-from asbuilt.apps.paper.facts import read_paper
 from asbuilt.apps.paper.pages import (
     describe_reproduction,
     reproduction_document,
     write_reproduction,
 )
-from asbuilt.apps.paper.reproduction import Reproduction
+from asbuilt.apps.paper.reproduction import Reproduction, read_paper
 from asbuilt.apps.paper.tables import tabulate_links
 from command_line import documented_fields
 

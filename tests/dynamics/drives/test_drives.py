@@ -16,7 +16,7 @@ from asbuilt.dynamics import (
     drive_columns,
     drive_torque,
 )
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.errors import UsageError
 
 

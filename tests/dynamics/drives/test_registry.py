@@ -47,7 +47,7 @@ JSON_CHAIN = '''
 import json
 
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import Joint, Link, RobotModel
@@ -116,7 +116,7 @@ CHECK = """
 import json, sys
 import numpy as np
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.writers.models.c.c_code import write_c
 

@@ -16,7 +16,7 @@ import pytest
 from asbuilt.description import load_robot
 from asbuilt.errors import DescriptionError, RecordingError
 from asbuilt.experiment import read_fitted_recordings, read_recording
-from asbuilt.experiment.logs.options import parse_servo_numbers
+from asbuilt.experiment.logs.reading_options import parse_servo_numbers
 
 SHARED = Path(__file__).parents[3].parent / "shared"
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.signal.position_step import find_position_steps
+from asbuilt.experiment.quality.position_checks import find_position_steps
 
 T = np.arange(0.0, 20.0, 0.001)
 RNG = np.random.default_rng(4)

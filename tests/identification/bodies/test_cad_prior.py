@@ -14,7 +14,7 @@ import pytest
 from asbuilt.description import LinkInertia, bundled_robot, robot_names
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.dynamics import DriveSet
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.identification import build_cad_prior
 from asbuilt.identification.bodies.cad_prior import smat, svec
 

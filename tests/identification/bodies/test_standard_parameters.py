@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import bundled_robot, robot_names
-from asbuilt.description.consistency import find_inconsistencies
+from asbuilt.description.plausibility import find_inconsistencies
 from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.entropic_fit import Coordinates

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from asbuilt.identification.uncertainty.delay_errors import estimate_delay_errors
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters
@@ -23,7 +24,6 @@ from asbuilt.identification.calibration.delay import (
     measure_delay_relief,
     predicts_better,
 )
-from asbuilt.identification.errors.delay_errors import estimate_delay_errors
 from asbuilt.identification.identify import fit_samples
 from asbuilt.workflow.delays import settle_delays
 

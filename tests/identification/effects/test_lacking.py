@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from asbuilt.identification.uncertainty.block_scatter import ErrorKind
 from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
@@ -14,7 +15,6 @@ from asbuilt.dynamics import DriveSet
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Samples, VirtualRobot, prepare_samples
 from asbuilt.identification import find_effects, identify_samples, widening
-from asbuilt.identification.errors.block_scatter import ErrorKind
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues
 from asbuilt.workflow import StudyOptions, identify

@@ -16,7 +16,7 @@ from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
 from asbuilt.identification import FoundEffect, find_effects
-from asbuilt.identification.effects.report import report_effects
+from asbuilt.identification.effects.effect_findings import report_effects
 from asbuilt.validation.generalisation.plateaus import (
     drop_plateaus,
     find_plateaus,

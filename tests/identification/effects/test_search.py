@@ -17,7 +17,7 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment import SignalChain, prepare_samples, read_recordings, resolve_chain
 from asbuilt.identification import EFFECTS, find_effects, identify_samples
 from asbuilt.identification.effects.effect import Described
-from asbuilt.identification.effects.report import describe_stated
+from asbuilt.identification.effects.effect_findings import describe_stated
 from asbuilt.identification.effects.wanted import EffectsWanted
 from asbuilt.identification.identify import fit_samples
 from asbuilt.validation import validate_samples

@@ -14,7 +14,7 @@ from asbuilt.identification.estimators.held_out_choice import (
     choose_candidate,
 )
 from asbuilt.identification.information.held_out import group_different_motions
-from asbuilt.identification.information.random_motion import (
+from asbuilt.identification.information.random_states import (
     build_random_motion_rows,
     measure_recorded_rates,
 )

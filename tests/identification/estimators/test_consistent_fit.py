@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import LinkInertia, load_robot
-from asbuilt.description.consistency import find_inconsistencies
+from asbuilt.description.plausibility import find_inconsistencies
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment import (

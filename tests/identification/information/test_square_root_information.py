@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, RegressorPlan, find_base_parameters, observation_matrix
@@ -30,7 +31,6 @@ from asbuilt.identification import (
     solve_factor,
     triangular_factor,
 )
-from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.information import rows as rows_module
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.rows import KeptRows, divide_into_blocks

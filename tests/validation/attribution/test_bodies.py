@@ -8,7 +8,7 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters
-from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
+from asbuilt.validation.attribution.body_differences import Body, BodyDifference, explain_bodies
 
 MODEL = load_robot("kuka-iiwa7-r800")
 BASE = find_base_parameters(MODEL, DriveSet())

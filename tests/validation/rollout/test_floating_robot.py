@@ -21,7 +21,7 @@ from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.experiment import ReadingOptions, Recording, read_fitted_recordings
 from asbuilt.identification.trajectories.ground import measure_ground
 from asbuilt.validation import Rollout
-from asbuilt.validation.rollout.errors import measure_rollout_errors
+from asbuilt.validation.rollout.position_errors import measure_rollout_errors
 from legged_robots import LEGGED
 from legs import PLACE_NOISE, described, recorded
 from outside_robot import other_bodies

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import ROOT, Frame, RobotModel, load_robot
-from asbuilt.description.consistency import find_inconsistencies
+from asbuilt.description.plausibility import find_inconsistencies
 from asbuilt.dynamics import (
     DriveSet,
     find_base_parameters,

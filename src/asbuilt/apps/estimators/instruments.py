@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,30 +29,20 @@ from asbuilt.identification import (
     triangular_factor,
 )
 
+# Hold how the instruments are simulated, and when the iteration ends.
 
-@dataclass(frozen=True, slots=True)
-class SimulationRules:
-    """Hold how the instruments are simulated, and when the iteration ends."""
-
-    bandwidths: float = 3.0
-    """Bandwidth of the simulated controller, in bandwidths of the motion's velocity."""
-    lowest: float = 2.0
-    """Lowest bandwidth of the controller [Hz]."""
-    step: float = 0.05
-    """Largest simulation step, in units of 1 / the controller's angular frequency."""
-    led_in: float = 1.0
-    """Time [s] that each segment is simulated before it counts."""
-    least_inertia: float = 0.01
-    """Smallest eigenvalue of a positive definite mass matrix, in mean inertias of the joints."""
-    segments: int = 64
-    """Segments of a recording that are simulated side by side."""
-    most_iterations: int = 4
-    """Most simulations, one for each estimate."""
-    convergence: float = 1e-2
-    """Change of the estimate, in standard errors, at which the iteration ends."""
-
-
-RULES = SimulationRules()
+# Bandwidth of the simulated controller, in bandwidths of the motion's velocity
+SIMULATION_BANDWIDTHS = 3.0
+SIMULATION_LOWEST = 2.0  # Lowest bandwidth of the controller [Hz]
+# Largest simulation step, in units of 1 / the controller's angular frequency
+SIMULATION_STEP = 0.05
+SIMULATION_LED_IN = 1.0  # Time [s] that each segment is simulated before it counts
+# Smallest eigenvalue of a positive definite mass matrix, in mean inertias of the joints
+SIMULATION_LEAST_INERTIA = 0.01
+SIMULATION_SEGMENTS = 64  # Segments of a recording that are simulated side by side
+SIMULATION_MOST_ITERATIONS = 4  # Most simulations, one for each estimate
+# Change of the estimate, in standard errors, at which the iteration ends
+SIMULATION_CONVERGENCE = 1e-2
 
 
 @estimator(
@@ -81,10 +71,10 @@ def estimate_iv(data: EstimationData) -> Estimate:
     moves = np.inf
     iterations = 0
     hertz = max(
-        RULES.lowest,
-        RULES.bandwidths * max(_measure_bandwidth(samples) for samples in data.batches),
+        SIMULATION_LOWEST,
+        SIMULATION_BANDWIDTHS * max(_measure_bandwidth(samples) for samples in data.batches),
     )
-    while moves > RULES.convergence and iterations < RULES.most_iterations:
+    while moves > SIMULATION_CONVERGENCE and iterations < SIMULATION_MOST_ITERATIONS:
         simulated = [
             follow(data.model, base, estimate.beta, samples, hertz) for samples in data.batches
         ]
@@ -121,7 +111,7 @@ def follow(
         model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
     )
     w = 2.0 * np.pi * bandwidth
-    substeps = max(1, int(np.ceil(w / samples.rate / RULES.step)))
+    substeps = max(1, int(np.ceil(w / samples.rate / SIMULATION_STEP)))
     h = 1.0 / (samples.rate * substeps)
     q, qd, qdd = (np.array(x) for x in (samples.q, samples.qd, samples.qdd))
     first, length, lead = _split_segments(samples)
@@ -169,7 +159,7 @@ def _estimate_inertia(
         if (
             inertia.min() > 0
             and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min()
-            > RULES.least_inertia
+            > SIMULATION_LEAST_INERTIA
         ):
             return links, rotors, inertia
     return np.zeros(10 * model.n_links), np.ones(model.n_joints), np.ones(model.n_joints)
@@ -179,9 +169,9 @@ def _split_segments(
     samples: Samples,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return first sample, length and lead-in of each segment, none across a gap."""
-    longest = max(1, -(-samples.n_samples // RULES.segments))
+    longest = max(1, -(-samples.n_samples // SIMULATION_SEGMENTS))
     parts = [
-        (a, min(longest, stop - a), min(a - start, round(RULES.led_in * samples.rate)))
+        (a, min(longest, stop - a), min(a - start, round(SIMULATION_LED_IN * samples.rate)))
         for start, stop in samples.segments
         for a in range(start, stop, longest)
     ]

@@ -97,7 +97,7 @@ def identify_entries(
     first = entries[0]
     last = entries[-1]
     settings = first.settings
-    odd = next((each for each in entries if each.settings.digest != settings.digest), None)
+    odd = next((entry for entry in entries if entry.settings.digest != settings.digest), None)
     if odd is not None:
         raise IdentifiabilityError(
             f"{odd.robot_id} has logs of two types of robot: {settings.robot_type} and"

@@ -116,7 +116,7 @@ def measure_misfit(entry: Entry, others: Sequence[Entry]) -> float:
     settings = entry.settings
     part = entry.whole
     prior = np.nan_to_num(design_values(settings.model, settings.base), nan=0.0)
-    together = others[0].whole.merge(*(each.whole for each in others[1:]))
+    together = others[0].whole.merge(*(other.whole for other in others[1:]))
     try:
         own = fit_least_squares(part, weights="joint", prior=prior)
         theirs = fit_least_squares(together, weights="joint", prior=prior)
@@ -164,7 +164,7 @@ class Overview:
         """Return it as plain data."""
         return {
             "ledger": self.ledger,
-            "robots": [asdict(each) for each in self.robots],
+            "robots": [asdict(robot) for robot in self.robots],
             "types": [
                 {
                     "type": each.robot_type,
@@ -180,8 +180,10 @@ class Overview:
                 }
                 for each in self.types
             ],
-            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
-            "findings": [each.as_dict() for each in self.findings],
+            "warnings": [
+                {"code": finding.code, "message": finding.text} for finding in self.findings
+            ],
+            "findings": [finding.as_dict() for finding in self.findings],
         }
 
 
@@ -216,7 +218,7 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
             last=names[-1][0].date.isoformat(),
         )
         if thorough:
-            entries = [e for e in (opened.read(*each) for each in names) if e is not None]
+            entries = [e for e in (opened.read(*name) for name in names) if e is not None]
             row = replace(
                 row,
                 n_logs=len(entries),

@@ -79,7 +79,7 @@ def render_fleet(drift: FleetDrift) -> str:
                 (
                     cards_markup(_make_cards(drift)),
                     changes,
-                    list_markup((each.severity, each.text) for each in drift.findings),
+                    list_markup((finding.severity, finding.text) for finding in drift.findings),
                 ),
             ),
             Block(
@@ -114,14 +114,14 @@ TYPES = (
 
 
 def _make_cards(drift: FleetDrift) -> list[Card]:
-    last = max((each.last for each in drift.robots), default="")[:10]
+    last = max((robot.last for robot in drift.robots), default="")[:10]
     return [
         Card(
             "neutral" if drift.changed else "good",
             f"{len(drift.changed)} of {len(drift.robots)}",
             "robots changed",
         ),
-        Card("neutral", f"{sum(each.n_logs for each in drift.robots)}", "logs"),
+        Card("neutral", f"{sum(robot.n_logs for robot in drift.robots)}", "logs"),
         Card("neutral", last, "last log"),
         Card(
             "neutral",

@@ -35,23 +35,16 @@ SIBLINGS = "siblings"
 """Name of the method of the estimate."""
 
 
-@dataclass(frozen=True, slots=True)
-class SiblingRules:
-    """Hold when siblings inform about a robot."""
+# Hold when siblings inform about a robot.
 
-    fewest: int = 4
-    """Siblings without which there is no spread."""
-    unlike: float = 0.01
-    """Probability of a difference from the siblings below which their prior is not used."""
-    smallest: float = 1e-10
-    """Scaled information, relative to the largest, below which a robot's data have none."""
-    passes: int = 3
-    """Turns of mean and spread; the second changes the mean by a hundredth of the spread."""
-    blocks: int = 24
-    """Blocks to which the logs of a sibling are merged."""
-
-
-RULES = SiblingRules()
+SIBLING_FEWEST = 4  # Siblings without which there is no spread
+# Probability of a difference from the siblings below which their prior is not used
+SIBLING_UNLIKE = 0.01
+# Scaled information, relative to the largest, below which a robot's data have none
+SIBLING_SMALLEST = 1e-10
+# Turns of mean and spread; the second changes the mean by a hundredth of the spread
+SIBLING_PASSES = 3
+SIBLING_BLOCKS = 24  # Blocks to which the logs of a sibling are merged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,15 +88,15 @@ def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry])
     found: dict[str, SquareRootInformation] = {}
     for other in (each for each in ledger.robot_ids() if each != robot_id):
         logs = [
-            each
-            for each in ledger.entries(other, types=types)
-            if each.settings.digest == settings.digest
+            entry
+            for entry in ledger.entries(other, types=types)
+            if entry.settings.digest == settings.digest
         ]
         if logs:
-            found[other] = join_entries(logs, RULES.blocks)
-    if len(found) < RULES.fewest:
+            found[other] = join_entries(logs, SIBLING_BLOCKS)
+    if len(found) < SIBLING_FEWEST:
         raise IdentifiabilityError(
-            f"{robot_id} has {len(found)} siblings in the ledger; a prior needs {RULES.fewest}",
+            f"{robot_id} has {len(found)} siblings in the ledger; a prior needs {SIBLING_FEWEST}",
             cure=Cure("identify it without a prior, or add logs of its siblings"),
         )
     return estimate_prior(settings.model, settings.base, found)
@@ -125,25 +118,25 @@ def estimate_prior(
     parts = list(robots.values())
     data = EstimationData(model, parts[0].merge(*parts[1:]), None, toward, "toward_prior")
     pooled = methods.find("consistent").estimate(data)
-    fits = [fit_least_squares(each, weights="joint", prior=pooled.beta) for each in parts]
+    fits = [fit_least_squares(part, weights="joint", prior=pooled.beta) for part in parts]
     effect = float(
         np.median(
-            [_estimate_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)]
+            [_estimate_design_effect(part, fit) for part, fit in zip(parts, fits, strict=True)]
         )
     )
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
     estimates = np.array([fit.beta for fit in fits])
     m = len(fits)
-    rows = [each.stacked(fit.weights) / np.sqrt(effect)
-            for each, fit in zip(parts, fits, strict=True)]  # fmt: skip
+    rows = [part.stacked(fit.weights) / np.sqrt(effect)
+            for part, fit in zip(parts, fits, strict=True)]  # fmt: skip
     mu = estimates.mean(axis=0)
-    for _ in range(RULES.passes):
+    for _ in range(SIBLING_PASSES):
         mu = _fit_mean(pooled, rows, _estimate_spread(estimates - mu, noise))
     T = _estimate_spread(estimates - mu, noise)
     T *= (1.0 + 1.0 / m) * float(widening(np.array(m - 1.0))) ** 2
     weights = np.median([fit.weights for fit in fits], axis=0)
     plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
-    squares = [_measure_distance(plain, each)[0] for each in parts]
+    squares = [_measure_distance(plain, part)[0] for part in parts]
     return SiblingPrior(tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares))))
 
 
@@ -174,9 +167,9 @@ def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
     inverse = np.linalg.inv(T)
     K = np.zeros_like(T)
     k = np.zeros(len(T))
-    for each in rows:
-        A = each[:-1, :-1].T @ each[:-1, :-1]
-        a = each[:-1, :-1].T @ each[:-1, -1]
+    for row in rows:
+        A = row[:-1, :-1].T @ row[:-1, :-1]
+        a = row[:-1, :-1].T @ row[:-1, -1]
         kept = np.linalg.solve(A + inverse, inverse)  # what the spread leaves of the data
         K += A @ kept
         k += kept.T @ a
@@ -199,7 +192,7 @@ def estimate_with_siblings(
     """
     m, (square, r) = len(prior.robot_ids), _measure_distance(prior, information)
     p_value = float(fdtrc(r, max(m - 1, 1), square / prior.dispersion)) if r else 1.0
-    if p_value < RULES.unlike:
+    if p_value < SIBLING_UNLIKE:
         return None, (
             Finding(
                 "unlike_siblings",
@@ -242,7 +235,7 @@ def _measure_distance(prior: SiblingPrior, information: SquareRootInformation) -
     A = R[:-1, :-1] @ L
     error = R[:-1, -1] - R[:-1, :-1] @ prior.mean
     values, axes = np.linalg.eigh(A.T @ A)
-    kept = np.flatnonzero(values > max(1.0, RULES.smallest * values[-1]))
+    kept = np.flatnonzero(values > max(1.0, SIBLING_SMALLEST * values[-1]))
     if not kept.size:
         return 0.0, 0
     found = axes[:, kept].T @ (A.T @ error) / values[kept]

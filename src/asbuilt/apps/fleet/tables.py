@@ -51,10 +51,12 @@ def addition_document(done: Addition) -> dict[str, Any]:
             for each in (*done.added, *done.skipped)
             if each.entry is not None
         ],
-        "types": [{"type": each.robot_type, "settings": each.digest} for each in done.settings],
+        "types": [
+            {"type": setting.robot_type, "settings": setting.digest} for setting in done.settings
+        ],
         "dashboard": done.dashboard,
-        "warnings": [{"code": each.code, "message": each.text} for each in done.findings],
-        "findings": [each.as_dict() for each in done.findings],
+        "warnings": [{"code": finding.code, "message": finding.text} for finding in done.findings],
+        "findings": [finding.as_dict() for finding in done.findings],
     }
 
 
@@ -84,7 +86,7 @@ def addition_text(
 
 def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: bool = False) -> str:
     """Return what `asbuilt fleet show` prints."""
-    logs = sum(each.n_logs for each in seen.robots)
+    logs = sum(robot.n_logs for robot in seen.robots)
     lines = [f"{seen.ledger}: {_word_count(seen.robots, 'robot')}, {logs} logs", ""]
     names = {each.robot_type: each.model.name for each in seen.types}
     heads = [
@@ -95,7 +97,7 @@ def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: boo
         Column("last", of=lambda each: each.last[:10]),
         Column("recorded", "h", "decimal", of=lambda each: (each.seconds or 0.0) / 3600.0),
     ]
-    if all(each.seconds is None for each in seen.robots):
+    if all(robot.seconds is None for robot in seen.robots):
         heads.pop()
     if seen.robots:
         shown = seen.robots if full else seen.robots[: 2 * MOST]
@@ -114,7 +116,7 @@ def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: boo
 def describe_drift_outcome(drift: FleetDrift) -> str:
     """Return the outcome in a sentence."""
     n = len(drift.changed)
-    tested = sum(each.p_value is not None for each in drift.robots)
+    tested = sum(robot.p_value is not None for robot in drift.robots)
     since = "" if drift.since is None else f" since {drift.since[:10]}"
     return (
         f"{n} of {tested} robots changed{since} beyond natural variation (false discovery rate"

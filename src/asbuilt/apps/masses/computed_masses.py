@@ -48,7 +48,7 @@ class LinkMasses:
     @property
     def computed_model(self) -> RobotModel:
         """The robot with the computed mass properties, where there are any."""
-        computed = {each.name: each.computed for each in self.links if each.computed is not None}
+        computed = {link.name: link.computed for link in self.links if link.computed is not None}
         links = (
             Link(name=link.name, inertia=computed[link.name]) if link.name in computed else link
             for link in self.model.links
@@ -56,7 +56,7 @@ class LinkMasses:
         return replace(self.model, links=tuple(links))
 
     def __repr__(self) -> str:
-        known = sum(each.computed is not None for each in self.links)
+        known = sum(link.computed is not None for link in self.links)
         return (
             f"LinkMasses({self.model.name!r}, {known} of {len(self.links)} links computed,"
             f" {len(self.findings)} findings)"
@@ -135,7 +135,7 @@ def link_masses(
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
         links, findings = _weigh_solids(model, solids, _read_materials(model, density, material))
-    findings += [found for each in links for found in check_described_mass(each, limits)]
+    findings += [found for link in links for found in check_described_mass(link, limits)]
     findings = list(add_plausibility(model, findings))
     return LinkMasses(model, sort_by_plausibility(links, findings), tuple(findings))
 

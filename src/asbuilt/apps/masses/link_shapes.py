@@ -20,7 +20,7 @@ def find_link_boxes(model: RobotModel) -> Mapping[int, tuple[Array, Array]]:
     solids = read_solids(model)
     boxes = {}
     for k in range(model.n_links):
-        own = [each for each in solids if each.link == k and len(each.corners)]
+        own = [solid for solid in solids if solid.link == k and len(solid.corners)]
         if own and not any(each.missing for each in own):
             corners = np.concatenate([each.corners for each in own])
             boxes[k] = corners.min(axis=0), corners.max(axis=0)

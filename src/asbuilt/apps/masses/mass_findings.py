@@ -124,7 +124,7 @@ def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
 
 def sort_by_plausibility(links: list[LinkMass], findings: list[Finding]) -> tuple[LinkMass, ...]:
     """Sort links by their worst finding, then by the change of mass, both descending."""
-    worst = {each.name: 3 for each in links}
+    worst = {link.name: 3 for link in links}
     for finding in findings:
         if finding.link is not None:
             severity = SEVERITIES.index(finding.severity)

@@ -30,7 +30,7 @@ def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path
     """
     place = Path(path)
     model = masses.computed_model
-    computed = {each.name: each.computed for each in masses.links if each.computed is not None}
+    computed = {link.name: link.computed for link in masses.links if link.computed is not None}
     if not computed:
         reasons = [f.message for f in masses.findings if f.code in UNREADABLE]
         why = f": {'; '.join(reasons[:MOST_REASONS])}" if reasons else ", so there is none to write"

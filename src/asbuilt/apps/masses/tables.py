@@ -18,14 +18,14 @@ def masses_document(masses: LinkMasses) -> dict[str, Any]:
         "robot": masses.model.name,
         "links": [
             {
-                "name": each.name,
-                "origin": each.origin,
-                "volume": each.volume,
-                "density": each.density,
-                "described": _build_body_document(each.described),
-                "computed": _build_body_document(each.computed),
+                "name": link.name,
+                "origin": link.origin,
+                "volume": link.volume,
+                "density": link.density,
+                "described": _build_body_document(link.described),
+                "computed": _build_body_document(link.computed),
             }
-            for each in masses.links
+            for link in masses.links
         ],
         "findings": [finding.as_dict() for finding in masses.findings],
     }

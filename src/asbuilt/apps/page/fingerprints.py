@@ -128,5 +128,5 @@ class Fingerprints:
     def _list_files(self, folder: Path) -> Iterator[Path]:
         """Yield the files of a folder and of those in it, in no order."""
         for place, folders, names in os.walk(folder):
-            folders[:] = [each for each in folders if Path(place) / each != self._written]
+            folders[:] = [folder for folder in folders if Path(place) / folder != self._written]
             yield from (Path(place) / name for name in names)

@@ -245,7 +245,9 @@ class Session:
     def find_answer(self, key: str) -> dict[str, Any] | None:
         """Return the stored answer of a key, None if another one has taken its place."""
         with self._lock:
-            return next((each.document for each in self.answers.values() if each.key == key), None)
+            return next(
+                (answer.document for answer in self.answers.values() if answer.key == key), None
+            )
 
     def _mark_files(self, answer: Answer) -> str:
         """Return the fingerprint of the files that an answer names; of a study, of its result."""

@@ -248,7 +248,7 @@ def describe_demo(story: Demo) -> str:
 
 def _describe_intervals(recovery: Recovery) -> str:
     """Return how many feasible intervals hold the truth, and those of all and the last link."""
-    masses = [each for each in recovery.intervals if each.quantity.startswith("mass")]
+    masses = [interval for interval in recovery.intervals if interval.quantity.startswith("mass")]
     texts = [
         f"{each.quantity} {each.text} (true"
         f" {round_significant(recovery.true_values[each.quantity])}, CAD"
@@ -280,8 +280,8 @@ def demo_document(story: Demo) -> dict[str, Any]:
                 "torque_error": story.recovery.torque_error,
                 "cad_error": story.recovery.cad_error,
                 "intervals": [
-                    each.as_dict() | {"truth": story.recovery.true_values[each.quantity]}
-                    for each in story.recovery.intervals
+                    interval.as_dict() | {"truth": story.recovery.true_values[interval.quantity]}
+                    for interval in story.recovery.intervals
                 ],
             }
         ),

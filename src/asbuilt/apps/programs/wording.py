@@ -155,8 +155,8 @@ def compose_preamble(request: ProgramRequest, title: str, use: Sequence[str]) ->
             f" {margin.limit:.4g} {margin.unit}"
         )
         limits.append((label, f"{100 * margin.margin:5.1f} %  {place}"))
-        known = {each.joint for each in request.report.margins if each.quantity == quantity}
-        missing = [make_plain_text(each) for each in model.joint_names if each not in known]
+        known = {margin.joint for margin in request.report.margins if margin.quantity == quantity}
+        missing = [make_plain_text(name) for name in model.joint_names if name not in known]
         if missing:
             limits.append((" " * len(label), f"NOT CHECKED for {', '.join(missing)}"))
     safety = [

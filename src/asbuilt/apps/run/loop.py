@@ -186,7 +186,7 @@ def choose_ending(rounds: Sequence[Round], options: RunOptions) -> Ending | None
         if all(each.verdict == "yes" for each in last):
             return "proven"
         reasons = [each.tested.verdict.reasons for each in last if each.tested is not None]
-        if all(set(reasons[0]) == set(each) for each in reasons) and reasons[0]:
+        if all(set(reasons[0]) == set(reason) for reason in reasons) and reasons[0]:
             return "with care"
     if len(rounds) >= LEARNED_FIRST and len(last) == IN_A_ROW:
         before, now = (each.goal_noise for each in last)
@@ -259,7 +259,7 @@ def _advise(last: Round) -> str:
     name = result.model.joint_names[joint]
     share = variance[joint] / np.sum(variance)
     findings = [each for each in without_hold_out(last.study) if each.severity != "info"]
-    about = [each for each in findings if each.joint == name or name in each.message]
+    about = [finding for finding in findings if finding.joint == name or name in finding.message]
     first = next(iter((*about, *findings)), None)
     place = f"{format_share(share, 0)} of the unexplained squared torque is at {name}."
     if first is None:

@@ -91,4 +91,4 @@ def relate_rollout(rollout: Rollout, robot: Literal["as_built", "cad"] = "as_bui
 
 def without_hold_out(study: Study) -> tuple[Finding, ...]:
     """Return the findings of a study that concern its model rather than its lack of a test."""
-    return tuple(each for each in study.findings if each.code not in OF_HOLD_OUT)
+    return tuple(finding for finding in study.findings if finding.code not in OF_HOLD_OUT)

@@ -82,12 +82,11 @@ class Unexplained:
 
         The groups are the slowest samples, as many again, then twice as many, and so on.
         """
-        interval = float(np.median(np.concatenate([np.diff(each.t) for each in validations])))
-        speed = np.vstack([
-            np.hypot(each.velocity, interval * np.gradient(each.velocity, each.t, axis=0))
-            for each in validations
-        ])  # fmt: skip
-        squared = np.vstack([each.error for each in validations]) ** 2
+        interval = float(
+            np.median(np.concatenate([np.diff(validation.t) for validation in validations]))
+        )
+        speed = np.vstack([_measure_speed(validation, interval) for validation in validations])
+        squared = np.vstack([validation.error for validation in validations]) ** 2
         groups = [_group(*columns) for columns in zip(speed.T, squared.T, strict=True)]
         speeds, squares = zip(*groups, strict=True)
         return cls(speeds, squares, interval)
@@ -100,6 +99,12 @@ class Unexplained:
             group = np.searchsorted(upper[:-1], moving)
             means.append(np.mean(squares[group]))
         return np.asarray(np.sqrt(means))
+
+
+def _measure_speed(validation: Validation, interval: float) -> Array:
+    """Return how fast joints move (N, n), with the change of speed in an interval [s]."""
+    change = interval * np.gradient(validation.velocity, validation.t, axis=0)
+    return np.asarray(np.hypot(validation.velocity, change))
 
 
 def _group(speed: Array, squared: Array) -> tuple[Array, Array]:

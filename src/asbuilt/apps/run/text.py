@@ -85,10 +85,10 @@ def write_promise_figure(path: Path, rounds: Sequence[Round], options: RunOption
     rows = [each for each in rounds if each.promised is not None and math.isfinite(each.found)]
     if not rows:
         return None
-    numbers = [each.number for each in rows]
+    numbers = [row.number for row in rows]
     figure, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
-    axes.plot(numbers, [100 * (each.promised or 0.0) for each in rows], "o--", label="promised")
-    axes.plot(numbers, [100 * each.found for each in rows], "s-", label="found")
+    axes.plot(numbers, [100 * (row.promised or 0.0) for row in rows], "o--", label="promised")
+    axes.plot(numbers, [100 * row.found for row in rows], "s-", label="found")
     axes.axhline(options.until, color="0.5", lw=1.0, label="wanted")
     axes.set_yscale("log")
     # Numbers as the table has them: 0.2, not a power of ten.

@@ -20,30 +20,20 @@ from asbuilt.dynamics import observation_matrix
 Kind = Literal["contact", "fault", "payload"]
 
 
-@dataclass(frozen=True, slots=True)
-class EventRules:
-    """Hold when an event counts as a fault or a payload."""
+# Hold when an event counts as a fault or a payload.
 
-    persistent: float = 2.0
-    """Duration [s] from which an offset of one joint counts as a fault, and a payload is
-    considered."""
-    mostly: float = 0.5
-    """Share of an event in which a joint must be beyond its threshold to take part in an offset."""
-    quiet: float = 0.7
-    """Share of its threshold that the residual of a joint without a part in an event may reach."""
-    explained: float = 0.8
-    """Share of the residual's squares that a payload must explain."""
-    determined: float = 200.0
-    """Largest condition number (columns scaled) of the four parameters of a payload."""
-    clear: float = 3.0
-    """Least mass of a payload, in standard errors."""
-    most_rows: int = 400
-    """Samples that a payload is fitted to."""
-    cluster: float = 1.0
-    """Time [s] in which errors of the model count as one."""
-
-
-RULES = EventRules()
+# Duration [s] from which an offset of one joint counts as a fault, and a payload is considered
+EVENT_PERSISTENT = 2.0
+# Share of an event in which a joint must be beyond its threshold to take part in an offset
+EVENT_MOSTLY = 0.5
+# Share of its threshold that the residual of a joint without a part in an event may reach
+EVENT_QUIET = 0.7
+EVENT_EXPLAINED = 0.8  # Share of the residual's squares that a payload must explain
+# Largest condition number (columns scaled) of the four parameters of a payload
+EVENT_DETERMINED = 200.0
+EVENT_CLEAR = 3.0  # Least mass of a payload, in standard errors
+EVENT_MOST_ROWS = 400  # Samples that a payload is fitted to
+EVENT_CLUSTER = 1.0  # Time [s] in which errors of the model count as one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,13 +165,13 @@ def _make_event(
         threshold=limit[peak],
         contact=estimate_contact(model, q, r, error, *tool),
     )
-    if event.duration < RULES.persistent:
+    if event.duration < EVENT_PERSISTENT:
         return event
     mass = estimate_payload_change(observer, observed.part(part), scale[part], tool[0])
     if mass is not None:
         return replace(event, kind="payload", mass=mass[0], mass_error=mass[1])
-    lasting = np.mean(ratio > 1.0, axis=0) > RULES.mostly
-    if lasting.sum() == 1 and np.all(np.quantile(ratio, 0.9, axis=0)[~lasting] < RULES.quiet):
+    lasting = np.mean(ratio > 1.0, axis=0) > EVENT_MOSTLY
+    if lasting.sum() == 1 and np.all(np.quantile(ratio, 0.9, axis=0)[~lasting] < EVENT_QUIET):
         return replace(event, kind="fault")
     return event
 
@@ -205,21 +195,21 @@ def estimate_payload_change(
     """
     t = observed.t
     memory = 5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t)))
-    rows = np.arange(0, len(t), max(1, round(max(memory, len(t) / RULES.most_rows))))
+    rows = np.arange(0, len(t), max(1, round(max(memory, len(t) / EVENT_MOST_ROWS))))
     weight = 1.0 / np.maximum(scale[rows], 1e-9).ravel()
     columns = 10 * link + np.arange(6, 10)
     state = (observed.q[rows], observed.qd[rows], observed.qdd[rows])
     A = weight[:, None] * observation_matrix(observer.model, *state, columns=columns)
     b = -weight * observed.residual[rows].ravel()
     lengths = np.linalg.norm(A, axis=0)
-    if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > RULES.determined:
+    if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > EVENT_DETERMINED:
         return None
     found = np.linalg.lstsq(A, b, rcond=None)[0]
     left = b - A @ found
     times = np.repeat(t[rows], observed.q.shape[1])
-    error = _estimate_clustered_error(A, left, np.floor((times - t[0]) / RULES.cluster))
-    explained = float(np.sum(left**2)) <= (1.0 - RULES.explained) * float(b @ b)
-    return (float(found[3]), error) if explained and abs(found[3]) >= RULES.clear * error else None
+    error = _estimate_clustered_error(A, left, np.floor((times - t[0]) / EVENT_CLUSTER))
+    explained = float(np.sum(left**2)) <= (1.0 - EVENT_EXPLAINED) * float(b @ b)
+    return (float(found[3]), error) if explained and abs(found[3]) >= EVENT_CLEAR * error else None
 
 
 def _estimate_clustered_error(A: Array, left: Array, cluster: Array) -> float:

@@ -24,24 +24,18 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
 
+# Hold when a tail is fitted, and its priors.
 
-@dataclass(frozen=True, slots=True)
-class TailRules:
-    """Hold when a tail is fitted, and its priors."""
-
-    fewest_blocks: int = 20
-    """Blocks below which no tail is fitted."""
-    fewest_peaks: int = 10
-    """Blocks that a tail has at least."""
-    shape_error: float = 0.1
-    """Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are
-    sums of many bounded causes."""
-    least_spread: float = 0.05
-    """Least mean excess, per start of the tail: blocks that are alike, as of a joint at rest whose
-    sensor repeats itself, do not show how the next ones differ."""
+TAIL_FEWEST_BLOCKS = 20  # Blocks below which no tail is fitted
+TAIL_FEWEST_PEAKS = 10  # Blocks that a tail has at least
+# Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are sums
+# of many bounded causes
+TAIL_SHAPE_ERROR = 0.1
+# Least mean excess, per start of the tail: blocks that are alike, as of a joint at rest whose
+# sensor repeats itself, do not show how the next ones differ
+TAIL_LEAST_SPREAD = 0.05
 
 
-TAIL = TailRules()
 TAILS = (0.02, 0.005)
 """Shares of the blocks that are taken as the tail, or `TAIL.fewest_peaks` of them; the highest
 level counts. Rare states, such as reversals, have errors of their own, whose tail a fit to many
@@ -112,13 +106,13 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
     """
     x = np.sort(maxima)
     blocks = len(x)
-    if blocks < TAIL.fewest_blocks:
+    if blocks < TAIL_FEWEST_BLOCKS:
         raise RecordingError(
             f"{blocks} blocks are too few for the tail of the residual; at least"
-            f" {TAIL.fewest_blocks} are needed",
+            f" {TAIL_FEWEST_BLOCKS} are needed",
             cure=Cure("give a longer recording without contact"),
             value=blocks,
-            expected=TAIL.fewest_blocks,
+            expected=TAIL_FEWEST_BLOCKS,
         )
     counts = {_count_peaks(blocks, share) for share in shares}
     found = [_fit_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
@@ -157,7 +151,7 @@ def select_largest(maxima: Array) -> Array:
 
 def _count_peaks(blocks: int, share: float) -> int:
     """Return how many maxima of blocks are the tail of a share of them."""
-    return min(max(round(share * blocks), TAIL.fewest_peaks), blocks // 2)
+    return min(max(round(share * blocks), TAIL_FEWEST_PEAKS), blocks // 2)
 
 
 def exponential_level(maxima: Array, probability: float) -> float:
@@ -172,7 +166,7 @@ def _find_tail(x: Array, peaks: int) -> tuple[float, float]:
     """Return the start and the mean excess of the tail of the largest `peaks` of sorted maxima."""
     start = float(x[-peaks - 1])
     mean = float(np.mean(x[-peaks:] - start))
-    return start, max(mean, TAIL.least_spread * start, np.finfo(float).tiny)
+    return start, max(mean, TAIL_LEAST_SPREAD * start, np.finfo(float).tiny)
 
 
 def gumbel_level(maxima: Array, probability: float) -> float:
@@ -196,7 +190,7 @@ def _evaluate_posterior(y: Array) -> tuple[Array, Array, Array]:
             y / scale[:, None],
             (1.0 + 1.0 / np.where(shape == 0.0, 1.0, shape))[:, None] * np.log(inside),
         )
-    likelihood = -len(y) * np.log(scale) - power.sum(axis=1) - 0.5 * (shape / TAIL.shape_error) ** 2
+    likelihood = -len(y) * np.log(scale) - power.sum(axis=1) - 0.5 * (shape / TAIL_SHAPE_ERROR) ** 2
     likelihood[~np.isfinite(likelihood) | np.any(inside <= 0.0, axis=1)] = -np.inf
     weight = np.exp(likelihood - likelihood.max())
     return shape, scale, weight / weight.sum()

@@ -25,24 +25,18 @@ from asbuilt.dynamics import apply_lag
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 
+# Hold how levels are set.
 
-@dataclass(frozen=True, slots=True)
-class LevelRules:
-    """Hold how levels are set."""
-
-    block: float = 1.0
-    """Shortest block [s]; longer than the observer remembers and than most contacts last."""
-    most: float = 0.5
-    """Largest probability of an alarm in a block; beyond it a level lies within the noise."""
-    parts: int = 5
-    """Parts of the time of which each is measured in units that follow from the others."""
-    within: float = 1.0
-    """Level of a joint whose residuals all lie within the bounds of known errors, in scales."""
-    most_rows: int = 20000
-    """Samples that the scale is fitted to; a residual of 20 ms repeats itself."""
+# Shortest block [s]; longer than the observer remembers and than most contacts last
+LEVEL_BLOCK = 1.0
+# Largest probability of an alarm in a block; beyond it a level lies within the noise
+LEVEL_MOST = 0.5
+LEVEL_PARTS = 5  # Parts of the time of which each is measured in units that follow from the others
+# Level of a joint whose residuals all lie within the bounds of known errors, in scales
+LEVEL_WITHIN = 1.0
+LEVEL_MOST_ROWS = 20000  # Samples that the scale is fitted to; a residual of 20 ms repeats itself
 
 
-LEVELS = LevelRules()
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
 UNIFORM = 1.0 / np.sqrt(3.0)
@@ -265,11 +259,11 @@ def set_thresholds(
     _check_measured(logs, names)
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
     kept = [np.ones(len(log.t), dtype=bool) for log in logs]
-    seconds = max(LEVELS.block, 5.0 / (2.0 * np.pi * bandwidth))
+    seconds = max(LEVEL_BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
     hours = sum(float(log.t[-1] - log.t[0]) for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
-    if probability > LEVELS.most:
-        highest = float(-np.log1p(-LEVELS.most) * n * 3600.0 / seconds)
+    if probability > LEVEL_MOST:
+        highest = float(-np.log1p(-LEVEL_MOST) * n * 3600.0 / seconds)
         raise UsageError(
             f"{false_alarms_per_hour:g} false alarms per hour are more than thresholds can be set"
             f" for; at most {highest:.0f} per hour are possible for {n} joints",
@@ -313,7 +307,7 @@ def set_thresholds(
     else:
         level = np.array([gumbel_level(column, probability) for column in maxima.T])
     # Where no residual leaves the bounds of known errors there is no tail to extrapolate.
-    return replace(made, level=np.where(level > 0.0, level, LEVELS.within))
+    return replace(made, level=np.where(level > 0.0, level, LEVEL_WITHIN))
 
 
 def _measure_spread(
@@ -344,10 +338,10 @@ def estimate_levels(maxima: Array, expected: float) -> Array:
     if len(maxima) < MANY:
         each = float(-np.expm1(-expected / n))
         return np.array([tail_level(column, each).level for column in maxima.T])
-    part = np.arange(len(maxima)) * LEVELS.parts // len(maxima)
+    part = np.arange(len(maxima)) * LEVEL_PARTS // len(maxima)
     pooled = [
         (maxima[part == k] / _average_largest(maxima[part != k])).max(axis=1)
-        for k in range(LEVELS.parts)
+        for k in range(LEVEL_PARTS)
     ]
     tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
     return _average_largest(maxima) * tail.level
@@ -402,11 +396,11 @@ def _fit_parts(
     samples would raise the level everywhere.
     """
     residual, speed, model, step, unknown = (
-        np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
+        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
         for arrays in (
             [log.residual[:, j] for log in logs],
             [log.qd[:, j] for log in logs],
-            [each[:, j] for each in models],
+            [model[:, j] for model in models],
             [log.step[:, j] for log in logs],
             [log.unknown_friction[:, j] for log in logs],
         )
@@ -415,7 +409,7 @@ def _fit_parts(
     top = float(np.abs(speed).max()) or 1.0
     starts = _find_block_starts(logs, kept, seconds)
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
-    few = slice(None, None, max(1, len(residual) // LEVELS.most_rows))
+    few = slice(None, None, max(1, len(residual) // LEVEL_MOST_ROWS))
     extra = np.column_stack([step, unknown]) / size
     least = [least_speed(delay_velocities(log), log.qd) for log in logs]
     best: tuple[float, tuple[float, float, float, float, float]] | None = None
@@ -461,6 +455,6 @@ def _find_block_starts(
     blocks = [
         np.floor((log.t - log.t[0]) / seconds)[keep] for log, keep in zip(logs, kept, strict=True)
     ]
-    number = np.repeat(np.arange(len(logs)), [len(each) for each in blocks])
+    number = np.repeat(np.arange(len(logs)), [len(block) for block in blocks])
     both = np.column_stack([number, np.concatenate(blocks)])
     return np.flatnonzero(np.any(np.diff(both, axis=0, prepend=-1.0) != 0.0, axis=1))

@@ -84,24 +84,17 @@ class Tally:
         return float(np.median(values)), float(max(np.median(errors), np.ptp(values) / 2.0))
 
 
-@dataclass(frozen=True, slots=True)
-class WatchRules:
-    """Hold when a log differs from what thresholds were set on."""
+# Hold when a log differs from what thresholds were set on.
 
-    faster: float = 1.2
-    """Factor by which a joint may exceed the speeds that thresholds were set on."""
-    other_rate: float = 1.25
-    """Factor from which sampling rates differ: noise, steps of torque and the causal filter do."""
-    unlike: float = 3.0
-    """Size of the residual over most of a log and all joints, per RMS error that the identification
-    found, from which the model is not this robot's. Between motions of one robot 1.06 to
-    1.56 was seen (LWR4+, Med 7, UR10e), with a log of another robot 19 and 28, with 3 kg on the
-    flange of a UR10e 7.8."""
-    short: float = 120.0
-    """Duration [s] below which thresholds are mostly extrapolation."""
-
-
-RULES = WatchRules()
+WATCH_FASTER = 1.2  # Factor by which a joint may exceed the speeds that thresholds were set on
+# Factor from which sampling rates differ: noise, steps of torque and the causal filter do
+WATCH_OTHER_RATE = 1.25
+# Size of the residual over most of a log and all joints, per RMS error that the identification
+# found, from which the model is not this robot's. Between motions of one robot 1.06 to 1.56 was
+# seen (LWR4+, Med 7, UR10e), with a log of another robot 19 and 28, with 3 kg on the flange of a
+# UR10e 7.8.
+WATCH_UNLIKE = 3.0
+WATCH_SHORT = 120.0  # Duration [s] below which thresholds are mostly extrapolation
 
 
 def report_velocities(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
@@ -124,16 +117,16 @@ def report_calibration(thresholds: Thresholds) -> list[Finding]:
         "warning",
         f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
         " is extrapolated, and the rate of false alarms is not verified",
-        Cure(f"give recordings of at least {RULES.short:.0f} s"),
+        Cure(f"give recordings of at least {WATCH_SHORT:.0f} s"),
     )
-    return [finding] if thresholds.held_out and seconds < RULES.short else []
+    return [finding] if thresholds.held_out and seconds < WATCH_SHORT else []
 
 
 def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
     rate = np.median(log.rates)
     top = np.max(log.tops, axis=0)
-    faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
+    faster = np.flatnonzero(top > WATCH_FASTER * thresholds.top_speed)
     worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
     names = join_names([thresholds.joint_names[k] for k in faster])
     possible = (
@@ -148,7 +141,7 @@ def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
             ),
         ),
         (
-            not 1.0 / RULES.other_rate < rate / thresholds.rate < RULES.other_rate,
+            not 1.0 / WATCH_OTHER_RATE < rate / thresholds.rate < WATCH_OTHER_RATE,
             Finding(
                 "rate_of_thresholds",
                 "warning",
@@ -177,7 +170,7 @@ def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
 def predict_error_size(result: IdentificationResult, model: Watched) -> Array:
     """Return the RMS torque error (n,) that the identification found for a model."""
     metrics = [result.cad] if model == "cad" else [result.train, *result.validation]
-    return np.asarray(np.max([each.rms for each in metrics], axis=0))
+    return np.asarray(np.max([metric.rms for metric in metrics], axis=0))
 
 
 def report_model(
@@ -200,7 +193,7 @@ def report_model(
     """
     ratio = log.size / np.maximum(expected, np.finfo(float).tiny)
     worst = int(np.argmax(ratio))
-    unlike = float(np.linalg.norm(log.size) / np.linalg.norm(expected)) > RULES.unlike
+    unlike = float(np.linalg.norm(log.size) / np.linalg.norm(expected)) > WATCH_UNLIKE
     if log.mass is not None and (events or unlike):
         return [
             Finding(

@@ -67,7 +67,7 @@ class Trace:
     @classmethod
     def joined(cls, traces: Sequence[Trace]) -> Trace:
         """Return traces one after another."""
-        parts = zip(*((each.t, each.residual, each.limit) for each in traces), strict=True)
+        parts = zip(*((trace.t, trace.residual, trace.limit) for trace in traces), strict=True)
         return cls(*map(np.concatenate, parts))
 
 
@@ -144,7 +144,9 @@ class WatchedLog:
             "largest": dict(zip(("joint", "time", "ratio"), self.largest, strict=True)),
             "events": [event.as_document() for event in self.events],
             "thresholds": make_plain(thresholds),
-            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
+            "warnings": [
+                {"code": finding.code, "message": finding.text} for finding in self.findings
+            ],
         }
 
     def sentences(self) -> tuple[str, ...]:

@@ -346,7 +346,7 @@ def read_robot_and_recordings(
     """
     from asbuilt.experiment.logs.recordings import read_fitted_recordings
 
-    return read_fitted_recordings(model, [each or [] for each in logs], reading)  # type: ignore[return-value]
+    return read_fitted_recordings(model, [log or [] for log in logs], reading)  # type: ignore[return-value]
 
 
 def read_recordings_of_robot(

@@ -243,7 +243,7 @@ def _restrict(xacro: Any, folder: Path, largest: int) -> None:
     own.update(load_yaml=xacro.load_yaml, dotify=dict, arg=_make_argument_lookup(xacro))
     names = {**MATH, **BUILTINS, "load_yaml": xacro.load_yaml}
     xacro._global_symbols = names | {"math": math, "python": python, "xacro": own}
-    functions = [each for each in (*names.values(), *own.values()) if callable(each)]
+    functions = [name for name in (*names.values(), *own.values()) if callable(name)]
     xacro.safe_eval = lambda text, symbols, local=None: evaluate(text, symbols, functions)
     package = _find_package(folder)
     xacro.eval_extension = lambda text: _substitute(xacro, text, folder, package)

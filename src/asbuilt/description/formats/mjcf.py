@@ -22,8 +22,8 @@ from asbuilt.description.formats.compiled_mjcf import (
     find_loops_by_equalities,
     with_passive_joints,
 )
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
 from asbuilt.description.formats.included_mjcf import insert_includes
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     described_text,
     find_outermost_tag,

@@ -18,7 +18,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import parse_finite_number
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import (
     close_match,
@@ -272,7 +272,7 @@ def _read_loops(joints: Sequence[Element], frames: _Frames, source: str) -> tupl
 def _find_only_model(root: Element, source: str) -> Element:
     models = [*root.findall("model"), *root.findall("world/model")]
     if len(models) != 1:
-        names = ", ".join(str(each.get("name")) for each in models)
+        names = ", ".join(str(model.get("name")) for model in models)
         raise DescriptionError(
             f"{source}: it has {len(models)} models{f' ({names})' if names else ''}; keep the robot"
             " alone"

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.dh import DHRow, build_dh_joint, dh_lengths, place_joint_on_origin
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import evaluate_lengths, parse_length, rotate_symbols
@@ -412,7 +412,7 @@ def _read_posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
 
 def _read_mimic(link: LinkTable, file: RobotFile) -> Mimic:
     assert link.mimic is not None
-    names = [each.joint or f"joint_{i + 1}" for i, each in enumerate(file.links)]
+    names = [link.joint or f"joint_{i + 1}" for i, link in enumerate(file.links)]
     if link.mimic.joint not in names:
         raise DescriptionError(
             f"mimic of link {link.name!r} names joint {link.mimic.joint!r}, which does not exist;"

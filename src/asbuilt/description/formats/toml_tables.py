@@ -339,10 +339,10 @@ class CouplingTable(_Table):
             not isinstance(factors, dict)
             or not factors
             or any(
-                isinstance(each, bool)
-                or not isinstance(each, int | float)
-                or not abs(each) <= LARGEST
-                for each in factors.values()
+                isinstance(factor, bool)
+                or not isinstance(factor, int | float)
+                or not abs(factor) <= LARGEST
+                for factor in factors.values()
             )
         ):
             raise ValueError(

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import parse_finite_number
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     close_match,
     described_text,
@@ -352,7 +352,7 @@ def _check_mimics(
 ) -> None:
     """Refuse joints that follow one that is not there, or each other in a circle."""
     moving = {joint.name: joint for joint in joints}
-    fixed = {each.name for each in connections} - moving.keys()
+    fixed = {connection.name for connection in connections} - moving.keys()
     for k, joint in enumerate(joints):
         if joint.mimic is None:
             continue

@@ -9,8 +9,8 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
 from asbuilt.description.formats.expansion import SECONDS
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.model import RobotModel

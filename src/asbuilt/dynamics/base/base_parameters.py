@@ -30,7 +30,7 @@ from asbuilt.dynamics.base.regrouping import (
 )
 from asbuilt.dynamics.base.regrouping_relations import reversed_echelon
 from asbuilt.dynamics.base.symbols import Polynomial, Row, format_sum
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.dynamics.parameters import parameter_names, parameter_units

@@ -13,7 +13,7 @@ from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.regrouping import Regrouping
 from asbuilt.dynamics.base.regrouping_relations import RANK_TOLERANCE, row_space
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.kinematics import draw_postures, link_jacobians, link_poses
 from asbuilt.findings import join_names
 
@@ -267,7 +267,7 @@ def _explain_no_effect(model: RobotModel, view: _LinkView, symbol: str) -> str:
     inertia = symbol.startswith("I")
     product = symbol in ("Ixy", "Ixz", "Iyz")
     about_one = view.turns == view.screws == 1
-    along = float(view.axis @ np.array([symbol == each for each in MOMENTS], dtype=np.float64))
+    along = float(view.axis @ np.array([symbol == moment for moment in MOMENTS], dtype=np.float64))
     still = "lies on that axis" if about_one else "never moves"
     work = (
         "gravity does no work on this part of its first moment"

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.kinematics import draw_postures
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.drive_set import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import MOTOR_SOURCES, DriveTerm, NonlinearValue
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import DescriptionError, UsageError

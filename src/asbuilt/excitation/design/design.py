@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import (
     Design,
     DurationTrial,
@@ -27,7 +28,6 @@ from asbuilt.excitation.design.designed_motion import (
     locate_base_parameter,
 )
 from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.search import DesignSearch, Task
 from asbuilt.excitation.information.criteria import AOptimality, Criterion, select_criterion
 from asbuilt.excitation.information.information import Information, parameter_scale
@@ -41,29 +41,14 @@ from asbuilt.executor import count_cores
 Progress = Callable[[SearchProgress], None]
 
 
-@dataclass(frozen=True)
-class DesignBudget:
-    """Divide the time limit of a design.
+# Divide the time limit of a design.
 
-    | field | meaning and source |
-    |---|---|
-    | `bounds` | share of the time limit that the bounds may take; they converge slowly |
-    | `refinement` | share that the search leaves to the refinement of its best optima |
-    | `refined` | number of best local optima refined on the dense grid |
-    | `after_interrupt` | time for refinement after a keyboard interrupt [s] |
-    | `pool_from` | random starts from which on a process pool saves more than its start costs |
-    | `other_duration` | relative deviation from the wanted duration that is reported |
-    """
-
-    bounds: float = 0.25
-    refinement: float = 0.15
-    refined: int = 4
-    after_interrupt: float = 2.0
-    pool_from: int = 24
-    other_duration: float = 0.1
-
-
-BUDGET = DesignBudget()
+DESIGN_BOUNDS = 0.25  # Share of the time limit that the bounds may take; they converge slowly
+DESIGN_REFINEMENT = 0.15  # Share that the search leaves to the refinement of its best optima
+DESIGN_REFINED = 4  # Number of best local optima refined on the dense grid
+DESIGN_AFTER_INTERRUPT = 2.0  # Time for refinement after a keyboard interrupt [s]
+DESIGN_POOL_FROM = 24  # Random starts from which on a process pool saves more than its start costs
+DESIGN_OTHER_DURATION = 0.1  # Relative deviation from the wanted duration that is reported
 
 
 def design_fixed(
@@ -96,11 +81,11 @@ def design_fixed(
     # Compilation would take the time of the search.
     _compile(information)
     whole = Deadline(options.time_limit)
-    reserve = BUDGET.refinement * options.time_limit
+    reserve = DESIGN_REFINEMENT * options.time_limit
     deadline = Deadline(options.time_limit - reserve)
     search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
     # Starting processes takes longer than few searches.
-    others = (cores or count_cores()) - 1 if options.starts >= BUDGET.pool_from else 0
+    others = (cores or count_cores()) - 1 if options.starts >= DESIGN_POOL_FROM else 0
     bound = family_bound = None
     with use_one_blas_thread(), open_pool(search.search, others, scheduler) as pool:
         if with_bound:
@@ -111,12 +96,12 @@ def design_fixed(
             raise search.failure()
         left = max(options.time_limit - whole.elapsed, reserve)
         # After an interrupt the best is still made to hold its limits, quickly.
-        final = Deadline(BUDGET.after_interrupt if deadline.interrupted else left)
+        final = Deadline(DESIGN_AFTER_INTERRUPT if deadline.interrupted else left)
         report = (
             None if progress is None else partial(_report_refinement, progress, candidates[0].value)
         )
         # Local optima of nearly equal value: refined, another one may be best.
-        tasks = [Task(found.number, found, final) for found in candidates[: BUDGET.refined]]
+        tasks = [Task(found.number, found, final) for found in candidates[:DESIGN_REFINED]]
         refined = search_all(tasks, search.search, final, pool=pool, progress=report)
     if not refined:
         raise MotionError(
@@ -171,7 +156,7 @@ def design_bounds(
     torque = options.torque_fraction * MotionBounds.of(model).torque
     # Band-limited families have a second bound, of states that they can reach.
     count = 1 + family.band_limited
-    begun = Deadline(BUDGET.bounds * options.time_limit)
+    begun = Deadline(DESIGN_BOUNDS * options.time_limit)
 
     def bound_within(limits: MotionBounds, number: int) -> InformationBound:
         if progress is not None:
@@ -212,7 +197,7 @@ def _report_other_duration(
     # Poses take the time that their moves need.
     more = family.size_name
     ratio = motion.duration / options.seconds
-    if abs(ratio - 1.0) < BUDGET.other_duration:
+    if abs(ratio - 1.0) < DESIGN_OTHER_DURATION:
         return ()
     cure = f"more {more} fill the time" if ratio < 1.0 else f"fewer {more} take less time"
     return (
@@ -251,29 +236,18 @@ def _check_matrix(given: Array | None, base: BaseParameters, what: str) -> Array
     return matrix
 
 
-@dataclass(frozen=True)
-class DurationSearch:
-    """Configure the search for a duration.
+# Configure the search for a duration.
 
-    | field | meaning and source |
-    |---|---|
-    | `first`, `longest` | first and longest duration tried [s]; half an hour is a long recording |
-    | `longest_period` | duration from which on a Fourier series repeats [s] |
-    | `step` | durations are multiples of this [s] |
-    | `trials` | durations tried at most; errors fall with the square root, so few are needed |
-    | `starts`, `time_limit` | random starts and time [s] of a trial |
-    """
-
-    first: float = 10.0
-    longest: float = 1800.0
-    longest_period: float = 40.0
-    step: float = 5.0
-    trials: int = 8
-    starts: int = 6
-    time_limit: float = 5.0
-
-
-SEARCH = DurationSearch()
+# DURATION_FIRST, DURATION_LONGEST: first and longest duration tried [s]; half an hour is a long
+# recording
+DURATION_FIRST = 10.0
+DURATION_LONGEST = 1800.0
+DURATION_LONGEST_PERIOD = 40.0  # Duration from which on a Fourier series repeats [s]
+DURATION_STEP = 5.0  # Durations are multiples of this [s]
+DURATION_TRIALS = 8  # Durations tried at most; errors fall with the square root, so few are needed
+# DURATION_STARTS, DURATION_TIME_LIMIT: random starts and time [s] of a trial
+DURATION_STARTS = 6
+DURATION_TIME_LIMIT = 5.0
 
 
 def design_for_precision(
@@ -296,14 +270,14 @@ def design_for_precision(
         If half an hour is not enough.
     """
     trials: list[DurationTrial] = []
-    duration = SEARCH.first
+    duration = DURATION_FIRST
     wanted_precision = options.precision
-    for _ in range(SEARCH.trials):
+    for _ in range(DURATION_TRIALS):
         wanted = _set_duration(options, duration)
         quick = replace(
             wanted,
-            starts=min(SEARCH.starts, options.starts),
-            time_limit=min(SEARCH.time_limit, options.time_limit),
+            starts=min(DURATION_STARTS, options.starts),
+            time_limit=min(DURATION_TIME_LIMIT, options.time_limit),
         )
         report = None if progress is None else partial(_report_trial, progress, duration)
         # A trial shows precision; efficiency is asked of the last design alone.
@@ -320,10 +294,10 @@ def design_for_precision(
             return replace(best, trials=tuple(trials))
         # Errors fall with the square root of the duration.
         needed = duration * (reached / wanted_precision) ** 2
-        step = SEARCH.step
+        step = DURATION_STEP
         # At least a step more, at most four times: the rule holds near the present duration.
         duration = max(duration + step, step * math.ceil(min(needed, 4 * duration) / step))
-        if duration > SEARCH.longest:
+        if duration > DURATION_LONGEST:
             break
     raise _make_failure_error(model, wanted_precision, trials, duration, design.size_name)
 
@@ -358,7 +332,7 @@ def _report_trial(
 
 
 def _set_duration(options: DesignOptions, duration: float) -> DesignOptions:
-    longest = SEARCH.longest_period
+    longest = DURATION_LONGEST_PERIOD
     # A long series would have many harmonics for no more information: it repeats.
     repeats = options.parametrisation == "fourier" and duration > longest
     periods = math.ceil(duration / longest) if repeats else None

@@ -12,8 +12,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, TorqueModel, described_drive
 from asbuilt.errors import UsageError
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.criteria import Criterion
 from asbuilt.excitation.information.information import (
     Information,

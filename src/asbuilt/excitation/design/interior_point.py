@@ -12,32 +12,15 @@ from scipy.linalg import cho_factor, cho_solve
 from asbuilt.arrays import Array
 from asbuilt.excitation.state_constraint import StateConstraint
 
+# Constants of the method; Nocedal & Wright (2006), chapter 19, unless noted.
 
-@dataclass(frozen=True)
-class SolverConstants:
-    """Constants of the method; Nocedal & Wright (2006), chapter 19, unless noted.
-
-    | field | meaning and source |
-    |---|---|
-    | `to_boundary` | largest fraction of the way to a constraint that one step takes |
-    | `armijo` | least decrease of the barrier function relative to its slope |
-    | `shrinkage` | factor by which the barrier weight falls |
-    | `steps` | most steps at one barrier weight |
-    | `damping` | least curvature along a step relative to that before (Powell 1978) |
-    | `backtracks` | halvings of a step before BFGS starts afresh |
-    | `spread` | factor between multiplier times slack and the barrier weight |
-    """
-
-    to_boundary: float = 0.995
-    armijo: float = 1e-4
-    shrinkage: float = 0.2
-    steps: int = 40
-    damping: float = 0.2
-    backtracks: int = 14
-    spread: float = 1e8
-
-
-CONSTANTS = SolverConstants()
+SOLVER_TO_BOUNDARY = 0.995  # Largest fraction of the way to a constraint that one step takes
+SOLVER_ARMIJO = 1e-4  # Least decrease of the barrier function relative to its slope
+SOLVER_SHRINKAGE = 0.2  # Factor by which the barrier weight falls
+SOLVER_STEPS = 40  # Most steps at one barrier weight
+SOLVER_DAMPING = 0.2  # Least curvature along a step relative to that before (Powell 1978)
+SOLVER_BACKTRACKS = 14  # Halvings of a step before BFGS starts afresh
+SOLVER_SPREAD = 1e8  # Factor between multiplier times slack and the barrier weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,13 +140,13 @@ def solve(
         error = max(float(np.abs(residual).max()) / scale, mismatch)
         since += 1
         # Solved well enough for this barrier, or it does not get better: on to the next.
-        if error < 10 * mu or since > CONSTANTS.steps:
+        if error < 10 * mu or since > SOLVER_STEPS:
             if mu <= mu_end * 1.0001:
                 converged = error < 10 * mu or point.value - last_value < tolerance
-                if converged or since > CONSTANTS.steps:
+                if converged or since > SOLVER_STEPS:
                     break
             else:
-                mu = max(mu_end, CONSTANTS.shrinkage * mu)
+                mu = max(mu_end, SOLVER_SHRINKAGE * mu)
                 since = 0
                 last_value = point.value
         steep = [
@@ -193,7 +176,7 @@ def solve(
             if fresh:
                 if mu <= mu_end * 1.0001:
                     break
-                mu = max(mu_end, CONSTANTS.shrinkage * mu)
+                mu = max(mu_end, SOLVER_SHRINKAGE * mu)
                 since = 0
             curvature = scale * metric
             fresh = True
@@ -343,22 +326,20 @@ def _search_line(
             falling = ds < 0
             if np.any(falling):
                 # As far as the linear constraints allow; curved ones are asked at each trial.
-                length = min(
-                    length, CONSTANTS.to_boundary * float((-s[falling] / ds[falling]).min())
-                )
+                length = min(length, SOLVER_TO_BOUNDARY * float((-s[falling] / ds[falling]).min()))
     reference = -point.value - mu * _evaluate_barrier(point.slacks)
     fall = float(slope @ step)
-    for _ in range(CONSTANTS.backtracks):
+    for _ in range(SOLVER_BACKTRACKS):
         trial = point.coefficients + length * direction
         slacks = program.margins(trial)
         worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
         # No slack falls by more than the step may take it.
-        if worst > 1 - CONSTANTS.to_boundary:
+        if worst > 1 - SOLVER_TO_BOUNDARY:
             evaluation = program.evaluate(*program.states(trial))
             if -evaluation.value - mu * _evaluate_barrier(
                 slacks
                 # Rounding of the value is no rise.
-            ) <= reference + CONSTANTS.armijo * length * fall + 1e-12 * abs(reference):
+            ) <= reference + SOLVER_ARMIJO * length * fall + 1e-12 * abs(reference):
                 return _make_point(program, trial, slacks, evaluation), length
         length *= 0.5
     return None, 0.0
@@ -384,8 +365,8 @@ def _step_duals(
     for z, dz in zip(duals, moves, strict=True):
         falling = dz < 0
         if np.any(falling):
-            length = min(length, CONSTANTS.to_boundary * float((-z[falling] / dz[falling]).min()))
-    spread = CONSTANTS.spread
+            length = min(length, SOLVER_TO_BOUNDARY * float((-z[falling] / dz[falling]).min()))
+    spread = SOLVER_SPREAD
     return [
         # Far from the path a multiplier would stiffen or slacken its constraint for good.
         np.clip(z + length * dz, mu / s / spread, mu / s * spread)
@@ -408,9 +389,9 @@ def _update_curvature(curvature: Array, shift: Array, change: Array) -> Array:
     sharp = float(shift @ change)
     if along <= 0:
         return curvature
-    if sharp < CONSTANTS.damping * along:
+    if sharp < SOLVER_DAMPING * along:
         # Powell: a mixture with the old curvature, so that the update stays positive.
-        theta = (1 - CONSTANTS.damping) * along / (along - sharp)
+        theta = (1 - SOLVER_DAMPING) * along / (along - sharp)
         change = theta * change + (1 - theta) * forward
         sharp = float(shift @ change)
     return np.asarray(

@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
 from asbuilt.excitation.design.interior_point import Optimum, solve
 from asbuilt.excitation.design.multistart import (
@@ -22,7 +23,6 @@ from asbuilt.excitation.design.multistart import (
     rank_candidates,
     search_all,
 )
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.information import draw_states, mean_information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion, check_limit_array
@@ -37,51 +37,31 @@ from asbuilt.excitation.state_constraint import (
     perturb_models,
 )
 
+# Configure the local searches; values found by experiments with six arms.
 
-@dataclass(frozen=True)
-class SearchSettings:
-    """Configure the local searches; values found by experiments with six arms.
-
-    | field | meaning and source |
-    |---|---|
-    | `nodes_per_wave` | nodes per shortest wave, twice as many in the end; fewer hide motion |
-    | `least_nodes` | fewest nodes |
-    | `barrier_random` | barrier weights from a random start, strong to leave nearby limits |
-    | `barrier_restart` | barrier weights from a disturbed optimum |
-    | `barrier_refined` | barrier weights of the refinement |
-    | `margin_coarse`, `margin_fine` | margins to the limits of motion and to other constraints |
-    | `round` | random starts of a round; rounds end in optima of different value |
-    | `batch` | restarts from the same parents, whatever the number of cores |
-    | `parents` | best optima that are disturbed |
-    | `restarts_per_start` | most restarts for each random start |
-    | `idle_batches`, `least_gain` | a round ends after so many batches that gain less than this |
-    | `disturbance` | fraction of the way to a random motion that a restart goes |
-    | `repairs`, `shrinkage` | attempts to hold the limits at 1 kHz; least and most shrinking |
-    | `poses` | random poses that show whether the robot is too heavy for its drives |
-    | `shortest_move` | least time of a move between two poses [s] |
-    """
-
-    nodes_per_wave: int = 40
-    least_nodes: int = 128
-    barrier_random: tuple[float, float] = (20.0, 3e-3)
-    barrier_restart: tuple[float, float] = (0.3, 3e-3)
-    barrier_refined: tuple[float, float] = (3e-3, 3e-5)
-    margin_coarse: tuple[float, float] = (3e-3, 3e-2)
-    margin_fine: tuple[float, float] = (1e-3, 1e-2)
-    round: int = 24
-    batch: int = 8
-    parents: int = 3
-    restarts_per_start: int = 8
-    idle_batches: int = 8
-    least_gain: float = 0.02
-    disturbance: tuple[float, float] = (0.1, 0.5)
-    repairs: int = 12
-    shrinkage: tuple[float, float] = (0.005, 0.3)
-    poses: int = 200
-    shortest_move: float = 0.1
-
-
-SETTINGS = SearchSettings()
+SEARCH_NODES_PER_WAVE = 40  # Nodes per shortest wave, twice as many in the end; fewer hide motion
+SEARCH_LEAST_NODES = 128  # Fewest nodes
+# Barrier weights from a random start, strong to leave nearby limits
+SEARCH_BARRIER_RANDOM = (20.0, 3e-3)
+SEARCH_BARRIER_RESTART = (0.3, 3e-3)  # Barrier weights from a disturbed optimum
+SEARCH_BARRIER_REFINED = (3e-3, 3e-5)  # Barrier weights of the refinement
+# SEARCH_MARGIN_COARSE, SEARCH_MARGIN_FINE: margins to the limits of motion and to other constraints
+SEARCH_MARGIN_COARSE = (3e-3, 3e-2)
+SEARCH_MARGIN_FINE = (1e-3, 1e-2)
+SEARCH_ROUND = 24  # Random starts of a round; rounds end in optima of different value
+SEARCH_BATCH = 8  # Restarts from the same parents, whatever the number of cores
+SEARCH_PARENTS = 3  # Best optima that are disturbed
+SEARCH_RESTARTS_PER_START = 8  # Most restarts for each random start
+# SEARCH_IDLE_BATCHES, SEARCH_LEAST_GAIN: a round ends after so many batches that gain less than
+# this
+SEARCH_IDLE_BATCHES = 8
+SEARCH_LEAST_GAIN = 0.02
+SEARCH_DISTURBANCE = (0.1, 0.5)  # Fraction of the way to a random motion that a restart goes
+# SEARCH_REPAIRS, SEARCH_SHRINKAGE: attempts to hold the limits at 1 kHz; least and most shrinking
+SEARCH_REPAIRS = 12
+SEARCH_SHRINKAGE = (0.005, 0.3)
+SEARCH_POSES = 200  # Random poses that show whether the robot is too heavy for its drives
+SEARCH_SHORTEST_MOVE = 0.1  # Least time of a move between two poses [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +107,7 @@ class DesignSearch:
         if limits and isinstance(self.family, PointToPoint):
             weight = WeightLimit(models, STANDING * torque)
             # A fixed seed: whether a robot is too heavy does not depend on the options.
-            poses = draw_states(self._bounds, SETTINGS.poses, np.random.default_rng(0))[0]
+            poses = draw_states(self._bounds, SEARCH_POSES, np.random.default_rng(0))[0]
             limits += (weight,) if weight.binds(poses) else ()
         if options.power:
             limits += (
@@ -135,9 +115,9 @@ class DesignSearch:
             )
         self._constraints = limits + constraints
         # Fewer nodes than the shortest wave needs would hide motion between them.
-        waves = SETTINGS.nodes_per_wave * family.span / family.shortest_wave
-        self._n_nodes = max(SETTINGS.least_nodes, round(waves))
-        self._coarse = self._build_program(self._n_nodes, SETTINGS.margin_coarse)
+        waves = SEARCH_NODES_PER_WAVE * family.span / family.shortest_wave
+        self._n_nodes = max(SEARCH_LEAST_NODES, round(waves))
+        self._coarse = self._build_program(self._n_nodes, SEARCH_MARGIN_COARSE)
 
     def _build_program(
         self, n_nodes: int, margin: tuple[float, float], family: Parametrisation | None = None
@@ -154,11 +134,11 @@ class DesignSearch:
     ) -> list[Candidate]:
         """Return the candidates, best first, of all rounds for which there is time."""
         starts = self._options.starts
-        batch = SETTINGS.batch
+        batch = SEARCH_BATCH
         # Rounds end by themselves, so that a long search tries other regions.
-        sizes = [min(SETTINGS.round, starts - k) for k in range(0, starts, SETTINGS.round)]
+        sizes = [min(SEARCH_ROUND, starts - k) for k in range(0, starts, SEARCH_ROUND)]
         lengths = [
-            size + batch * math.ceil(SETTINGS.restarts_per_start * size / batch) for size in sizes
+            size + batch * math.ceil(SEARCH_RESTARTS_PER_START * size / batch) for size in sizes
         ]
         found: list[Candidate] = []
         first = 0
@@ -190,17 +170,17 @@ class DesignSearch:
         found = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
         idle = 0
         done = size
-        batch = SETTINGS.batch
-        while found and done < length and idle < SETTINGS.idle_batches and not self._deadline():
+        batch = SEARCH_BATCH
+        while found and done < length and idle < SEARCH_IDLE_BATCHES and not self._deadline():
             best = found[0].value
-            parents = found[: SETTINGS.parents]
+            parents = found[:SEARCH_PARENTS]
             # The best parents in turn, whatever the number of cores: results do not depend on it.
             tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
             progress = partial(report, first + done, best)
             more = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
             found = rank_candidates([*found, *more])
             # One gain starts the patience anew.
-            idle = idle + 1 if found[0].value < best + SETTINGS.least_gain else 0
+            idle = idle + 1 if found[0].value < best + SEARCH_LEAST_GAIN else 0
             done += batch
         return found
 
@@ -227,7 +207,7 @@ class DesignSearch:
         rng = np.random.default_rng([self._options.seed, task.number])
         if task.origin is not None:
             return self._restart(task.number, rng, task.origin)
-        optimum = self._solve(self._coarse, self._draw_start(rng), SETTINGS.barrier_random)
+        optimum = self._solve(self._coarse, self._draw_start(rng), SEARCH_BARRIER_RANDOM)
         return Candidate.of(task.number, optimum)
 
     def _solve(
@@ -246,12 +226,12 @@ class DesignSearch:
             other = self._draw_start(rng)
             if other is None:
                 break
-            part = rng.uniform(*SETTINGS.disturbance)
+            part = rng.uniform(*SEARCH_DISTURBANCE)
             # Between two motions limits may be broken: shrunk until they hold.
             start = self._shrink_inside(
                 self._coarse, (1 - part) * parent.coefficients + part * other
             )
-            optimum = self._solve(self._coarse, start, SETTINGS.barrier_restart)
+            optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RESTART)
             if optimum is not None:
                 return Candidate.of(number, optimum)
         return Candidate.of(number, None)
@@ -263,9 +243,9 @@ class DesignSearch:
         # Poses change their times with the refinement, which then starts again.
         for _ in range(2 if isinstance(family, PointToPoint) else 1):
             family = self._retime(family, coefficients)
-            dense = self._build_program(2 * self._n_nodes, SETTINGS.margin_fine, family)
+            dense = self._build_program(2 * self._n_nodes, SEARCH_MARGIN_FINE, family)
             start = self._shrink_inside(dense, coefficients)
-            optimum = self._solve(dense, start, SETTINGS.barrier_refined, deadline)
+            optimum = self._solve(dense, start, SEARCH_BARRIER_REFINED, deadline)
             # An optimum that is worse on the dense grid was one of the coarse grid alone.
             if optimum is not None and (
                 optimum.value > value - 1.0 or isinstance(family, PointToPoint)
@@ -316,7 +296,7 @@ class DesignSearch:
             [1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)],
             axis=(0, 2),
         )
-        return family.retimed(np.maximum(steps, SETTINGS.shortest_move))
+        return family.retimed(np.maximum(steps, SEARCH_SHORTEST_MOVE))
 
     def failure(self) -> MotionError:
         """Return the error that says why there is no design."""
@@ -384,12 +364,12 @@ class DesignSearch:
         grid = self._build_program(
             max(self._n_nodes, int(family.span * CHECK_RATE)), (0.0, 0.0), family
         )
-        least, most = SETTINGS.shrinkage
+        least, most = SEARCH_SHRINKAGE
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         mean_pose = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
         for pose in (middle, mean_pose):
             part = 0.0
-            for _ in range(SETTINGS.repairs):
+            for _ in range(SEARCH_REPAIRS):
                 trial: Array = coefficients + part * (pose - coefficients)
                 if isinstance(family, PointToPoint):
                     worst = -least if self._pace(trial) is None else 0.0

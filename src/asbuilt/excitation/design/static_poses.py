@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 from asbuilt.arrays import Array, read_only
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
-from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, plan_route, segments_free
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information, complete_limits
@@ -38,29 +38,14 @@ MOST_POSES = 1_000
 """Most static poses; each is held for seconds."""
 
 
-@dataclass(frozen=True)
-class StaticSearch:
-    """Configure the search for poses.
+# Configure the search for poses.
 
-    | field | meaning and source |
-    |---|---|
-    | `candidates` | random poses to choose among |
-    | `exchanges` | most rounds of exchange; few suffice (Fedorov 1972) |
-    | `smallest_eigenvalue` | relative information below which gravity does not determine it |
-    | `gap` | width of angles without a candidate that counts as barred [rad] |
-    | `refinement_steps` | steps of the climb of all poses together |
-    | `dwell` | rest at each pose [s] |
-    """
-
-    candidates: int = 2000
-    exchanges: int = 12
-    smallest_eigenvalue: float = 1e-9
-    gap: float = 0.2
-    refinement_steps: int = 60
-    dwell: float = 1.0
-
-
-SEARCH = StaticSearch()
+STATIC_CANDIDATES = 2000  # Random poses to choose among
+STATIC_EXCHANGES = 12  # Most rounds of exchange; few suffice (Fedorov 1972)
+STATIC_SMALLEST_EIGENVALUE = 1e-9  # Relative information below which gravity does not determine it
+STATIC_GAP = 0.2  # Width of angles without a candidate that counts as barred [rad]
+STATIC_REFINEMENT_STEPS = 60  # Steps of the climb of all poses together
+STATIC_DWELL = 1.0  # Rest at each pose [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,7 +90,7 @@ def design_static_poses(
     *,
     drive: DriveSet = NO_DRIVE,
     constraints: Sequence[StateConstraint] = (),
-    dwell: float = SEARCH.dwell,
+    dwell: float = STATIC_DWELL,
 ) -> StaticDesign:
     """Return the D-optimal poses for the parameters that gravity determines.
 
@@ -158,13 +143,13 @@ def design_static_poses(
         [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
     )
     weight = [WeightLimit((model,), STANDING * torque)] if loads else []
-    everywhere = rng.uniform(bounds.lower, bounds.upper, size=(SEARCH.candidates, model.n_joints))
+    everywhere = rng.uniform(bounds.lower, bounds.upper, size=(STATIC_CANDIDATES, model.n_joints))
     # Where the drives cannot hold the robot no pose is safe to rest at.
     barriers = [*constraints, *(limit for limit in weight if limit.binds(everywhere))]
     pool = everywhere[~find_violations(barriers, everywhere)]
     if len(pool) < 2:
         raise MotionError(
-            f"{model.name}: none of {SEARCH.candidates} random poses keeps the torque limits and is"
+            f"{model.name}: none of {STATIC_CANDIDATES} random poses keeps the torque limits and is"
             " free of collisions"
         )
     pool = _unwind_turns(model, bounds, pool)
@@ -232,7 +217,7 @@ def _find_determined(information: Information, poses: Array) -> Array:
     eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
     largest = max(float(eigenvalues[-1]), np.finfo(float).tiny)
     # Combinations below that share move no torque.
-    return np.asarray(vectors[:, eigenvalues > SEARCH.smallest_eigenvalue * largest])
+    return np.asarray(vectors[:, eigenvalues > STATIC_SMALLEST_EIGENVALUE * largest])
 
 
 def _sum_information(information: Information, kept: Array, poses: Array) -> Array:
@@ -259,7 +244,7 @@ def _select_optimal_subset(rows: Array, count: int) -> list[int]:
         best = int(np.argmax(gains(matrix)))
         chosen.append(best)
         matrix = matrix + rows[best].T @ rows[best]
-    for _ in range(SEARCH.exchanges):
+    for _ in range(STATIC_EXCHANGES):
         changed = False
         for place in range(count):
             # Each pose in turn against the rest: what adds most takes its place.
@@ -304,7 +289,7 @@ def _refine_poses(
         jac=True,
         method="L-BFGS-B",
         bounds=[(-1, 1)] * start.size,
-        options={"maxiter": SEARCH.refinement_steps},
+        options={"maxiter": STATIC_REFINEMENT_STEPS},
     )
     moved = middle + half * climbed.x.reshape(poses.shape)
     for k in range(len(moved)):
@@ -336,7 +321,7 @@ def _unwind_turns(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array
     opposite = angles[widest, joints] + gaps[widest, joints] / 2 + np.pi
     centre = (bounds.upper + bounds.lower) / 2
     opposite -= 2 * np.pi * np.round((opposite - centre) / (2 * np.pi))
-    middle = np.where(gaps[widest, joints] > SEARCH.gap, opposite, centre)
+    middle = np.where(gaps[widest, joints] > STATIC_GAP, opposite, centre)
     near = pool - 2 * np.pi * np.round((pool - middle) / (2 * np.pi))
     # Whole turns into the range, where there are any.
     near += 2 * np.pi * ((near < bounds.lower).astype(float) - (near > bounds.upper))

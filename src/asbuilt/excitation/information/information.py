@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, inverse_dynamics
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
@@ -28,23 +28,15 @@ SCALING_STATES = 500
 """Random states over which the units of the parameters are averaged."""
 
 
-@dataclass(frozen=True, slots=True)
-class Smoothing:
-    """Hold how drive columns that jump with the sign of the velocity are evaluated."""
+# Hold how drive columns that jump with the sign of the velocity are evaluated.
 
-    sign_width: float = 0.02
-    """Width, relative to the velocity limit, over which `tanh(qd / width)` smooths drive columns
-    that jump with the sign of velocity while a motion is designed; reports use the exact
-    columns."""
-    step: float = 1e-6
-    """Step of the central differences through drive columns."""
-    smallest_speed: float = 1e-12
-    """Speed at which a column is evaluated just before and after standstill [rad/s or m/s]."""
-    least_jump: float = 1e-3
-    """Change across standstill above which a drive column jumps there."""
-
-
-SMOOTHING = Smoothing()
+# Width, relative to the velocity limit, over which `tanh(qd / width)` smooths drive columns that
+# jump with the sign of velocity while a motion is designed; reports use the exact columns
+SMOOTHING_SIGN_WIDTH = 0.02
+SMOOTHING_STEP = 1e-6  # Step of the central differences through drive columns
+# Speed at which a column is evaluated just before and after standstill [rad/s or m/s]
+SMOOTHING_SMALLEST_SPEED = 1e-12
+SMOOTHING_LEAST_JUMP = 1e-3  # Change across standstill above which a drive column jumps there
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,7 +79,7 @@ class Information:
             model,
             base,
             read_only(np.broadcast_to(sigma, (model.n_joints,))),
-            read_only(SMOOTHING.sign_width * velocity),
+            read_only(SMOOTHING_SIGN_WIDTH * velocity),
         )
 
     @cached_property
@@ -158,10 +150,10 @@ class Information:
             for order in self._drive_arguments:
                 up, down = (
                     [x + step if i == order else x for i, x in enumerate(state)]
-                    for step in (SMOOTHING.step, -SMOOTHING.step)
+                    for step in (SMOOTHING_STEP, -SMOOTHING_STEP)
                 )
                 slope = self._evaluate_drive_columns(up) - self._evaluate_drive_columns(down)
-                through = np.einsum("csk,csk->sk", given, slope) / (2 * SMOOTHING.step)
+                through = np.einsum("csk,csk->sk", given, slope) / (2 * SMOOTHING_STEP)
                 if order < 3:
                     slopes[order][...] += through
                 else:
@@ -192,7 +184,7 @@ class Information:
         columns = self._evaluate_exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):
-            speed = np.abs(state[1]) + SMOOTHING.smallest_speed
+            speed = np.abs(state[1]) + SMOOTHING_SMALLEST_SPEED
             ahead, behind = (
                 self._evaluate_exact_drive_columns([state[0], v, *state[2:]])[jumps]
                 for v in (speed, -speed)
@@ -233,7 +225,7 @@ class Information:
             )
             for v in (1e-9, -1e-9)
         )
-        return np.asarray(np.any(np.abs(ahead - behind) > SMOOTHING.least_jump, axis=(1, 2)))
+        return np.asarray(np.any(np.abs(ahead - behind) > SMOOTHING_LEAST_JUMP, axis=(1, 2)))
 
     @cached_property
     def _drive_arguments(self) -> tuple[int, ...]:

@@ -396,7 +396,7 @@ def _widen_limits(model: RobotModel, q: Array, qd: Array, qdd: Array) -> tuple[L
     if np.any(np.isfinite(torque)):
         share = max(float(np.abs(TorqueLimit((model,), torque).values(q, qd, qdd)).max()), 1.0)
     arrays = (lower, upper, velocity, acceleration, torque * np.ceil(10.0 * share) / 10.0)
-    return tuple(tuple(each.tolist()) for each in arrays), beyond
+    return tuple(tuple(array.tolist()) for array in arrays), beyond
 
 
 @lru_cache(maxsize=8)

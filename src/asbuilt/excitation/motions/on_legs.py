@@ -18,41 +18,26 @@ from asbuilt.dynamics import inverse_dynamics, link_poses, mass_matrix
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.excitation.limits import MotionBounds
 
+# Sizes of the motions: own choices, what legs of every size do without special skill.
+#
+# Lengths are in units of the height h of the base above the feet, so that a small robot makes small
+# motions.
 
-@dataclass(frozen=True, slots=True)
-class LegMotionRules:
-    """Sizes of the motions: own choices, what legs of every size do without special skill.
-
-    Lengths are in units of the height h of the base above the feet, so that a small robot makes
-    small motions.
-    """
-
-    seconds: float = 8.0
-    rate: float = 25.0
-    slow: tuple[float, float] = (0.31, 0.97)
-    """Frequencies of the base [Hz]: gravity shows in the slow one, inertia in the fast one."""
-    fast: tuple[float, float] = (0.53, 1.61)
-    """Frequencies of limbs that carry nothing [Hz]."""
-    height: float = 0.15
-    """Half the range of a squat [h]."""
-    sway: float = 0.08
-    """Half the range of a sway, so that the weight stays between the feet [h]."""
-    turn: float = 0.2
-    """Half the range of a turn of the base [rad]."""
-    swing: float = 0.5
-    """Half the range of a joint that swings [rad]."""
-    lift: float = 0.2
-    """Height at which a lifted foot is held [h]."""
-    airborne: float = 0.2
-    """Part of the time that hops spend in the air, less what a low-pass spreads at touch-down."""
-    halvings: int = 3
-    """How often a motion out of reach is made half as large."""
-    steps: int = 12
-    reached: float = 1e-3
-    """Gap of a foot that counts as closed [h]."""
-
-
-RULES = LegMotionRules()
+LEG_MOTION_SECONDS = 8.0
+LEG_MOTION_RATE = 25.0
+# Frequencies of the base [Hz]: gravity shows in the slow one, inertia in the fast one
+LEG_MOTION_SLOW = (0.31, 0.97)
+LEG_MOTION_FAST = (0.53, 1.61)  # Frequencies of limbs that carry nothing [Hz]
+LEG_MOTION_HEIGHT = 0.15  # Half the range of a squat [h]
+LEG_MOTION_SWAY = 0.08  # Half the range of a sway, so that the weight stays between the feet [h]
+LEG_MOTION_TURN = 0.2  # Half the range of a turn of the base [rad]
+LEG_MOTION_SWING = 0.5  # Half the range of a joint that swings [rad]
+LEG_MOTION_LIFT = 0.2  # Height at which a lifted foot is held [h]
+# Part of the time that hops spend in the air, less what a low-pass spreads at touch-down
+LEG_MOTION_AIRBORNE = 0.2
+LEG_MOTION_HALVINGS = 3  # How often a motion out of reach is made half as large
+LEG_MOTION_STEPS = 12
+LEG_MOTION_REACHED = 1e-3  # Gap of a foot that counts as closed [h]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +57,7 @@ def leg_motions(model: RobotModel, posture: Array) -> Iterator[LegMotion]:
 
     The base of the robot is free, with the six coordinates of `structure.free_base` first.
     """
-    t = np.arange(0.0, RULES.seconds, 1.0 / RULES.rate)
+    t = np.arange(0.0, LEG_MOTION_SECONDS, 1.0 / LEG_MOTION_RATE)
     yield from _move_on_feet(model, posture, t)
     yield from _move_in_the_air(model, posture, t)
 
@@ -82,9 +67,9 @@ def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMo
     if not feet:
         return
     h = _measure_height(model, posture)
-    aside = RULES.sway * h
-    down = RULES.height * h
-    turn = RULES.turn
+    aside = LEG_MOTION_SWAY * h
+    down = LEG_MOTION_HEIGHT * h
+    turn = LEG_MOTION_TURN
     for name, size in (
         ("squats", [0, 0, down, 0, 0, 0]),
         ("swaying on standing feet", [aside, aside, 0, 0, 0, 0]),
@@ -92,9 +77,9 @@ def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMo
         ("twisting the trunk on standing feet", [0, 0, 0, turn, 0, 0]),
         ("squatting, leaning and twisting at once", [aside, aside, down, turn, turn, turn]),
     ):
-        base = np.array(size) * _build_waves(t, 6, RULES.slow)
+        base = np.array(size) * _build_waves(t, 6, LEG_MOTION_SLOW)
         yield from _move_base(model, posture, name, base, np.ones(feet, dtype=np.bool_))
-    legs = [_find_joints_above(model, each.frame) for each in model.contacts]
+    legs = [_find_joints_above(model, contact.frame) for contact in model.contacts]
     lifted = [
         each for k in range(feet) if feet > 1 for each in _lift_foot(model, posture, t, k, legs)
     ]
@@ -134,21 +119,21 @@ def _move_base(
     rest = posture
     if not stands.all():
         lifted = np.asarray(
-            RULES.lift * _measure_height(model, posture) * ~stands, dtype=np.float64
+            LEG_MOTION_LIFT * _measure_height(model, posture) * ~stands, dtype=np.float64
         )
         rest, off = _put_on_ground(model, posture[None], posture, stands | True, lifted)
         rest = rest[0] if off else posture
-    for k in range(RULES.halvings + 1):
+    for k in range(LEG_MOTION_HALVINGS + 1):
         q = rest + np.zeros((len(base), 1))
         q[:, :6] += 0.5**k * base
         if swinging:
-            t = np.arange(len(base)) / RULES.rate
-            waves = _build_waves(t, len(swinging), RULES.fast)
+            t = np.arange(len(base)) / LEG_MOTION_RATE
+            waves = _build_waves(t, len(swinging), LEG_MOTION_FAST)
             q[:, swinging] += 0.5**k * waves * _measure_room(model, rest)[swinging]
         q, reached = _put_on_ground(model, q, posture, stands)
         if reached:
-            rates = np.gradient(q, 1.0 / RULES.rate, axis=0)
-            second = np.gradient(rates, 1.0 / RULES.rate, axis=0)
+            rates = np.gradient(q, 1.0 / LEG_MOTION_RATE, axis=0)
+            second = np.gradient(rates, 1.0 / LEG_MOTION_RATE, axis=0)
             yield LegMotion(name, q, rates, second, np.tile(stands, (len(q), 1)))
             return
 
@@ -157,16 +142,16 @@ def _move_in_the_air(model: RobotModel, posture: Array, t: Array) -> Iterator[Le
     """Yield the motion of all joints where nothing touches the robot, with its momentum."""
     n = model.n_joints
     q = np.tile(posture, (t.size, 1))
-    q[:, 6:] += _build_waves(t, n - 6, RULES.fast) * _measure_room(model, posture)[6:]
-    qd = np.gradient(q, 1.0 / RULES.rate, axis=0)
-    qdd = np.gradient(qd, 1.0 / RULES.rate, axis=0)
+    q[:, 6:] += _build_waves(t, n - 6, LEG_MOTION_FAST) * _measure_room(model, posture)[6:]
+    qd = np.gradient(q, 1.0 / LEG_MOTION_RATE, axis=0)
+    qdd = np.gradient(qd, 1.0 / LEG_MOTION_RATE, axis=0)
     M = mass_matrix(model, q)
     qd[:, :6] = -_solve(M[:, :6, :6], np.einsum("sij,sj->si", M[:, :6, 6:], qd[:, 6:]))
     qdd[:, :6] = 0.0
     qdd[:, :6] = -_solve(M[:, :6, :6], inverse_dynamics(model, q, qd, qdd)[:, :6])
     feet = len(model.contacts)
     name = "hops with legs that swing in the air" if feet else "moving all joints at once"
-    share = RULES.airborne if feet else 1.0
+    share = LEG_MOTION_AIRBORNE if feet else 1.0
     yield LegMotion(name, q, qd, qdd, np.zeros((t.size, feet), dtype=np.bool_), share)
 
 
@@ -185,7 +170,7 @@ def _measure_room(model: RobotModel, posture: Array) -> Array:
     """Return how far joints (n,) can swing to both sides of a posture."""
     bounds = MotionBounds.of(model)
     margin = np.minimum(bounds.upper - posture, posture - bounds.lower)
-    return np.asarray(np.clip(margin, 0.0, RULES.swing))
+    return np.asarray(np.clip(margin, 0.0, LEG_MOTION_SWING))
 
 
 def _find_joints_above(model: RobotModel, frame: str) -> set[int]:
@@ -200,7 +185,7 @@ def _find_joints_above(model: RobotModel, frame: str) -> set[int]:
 def _place_contacts(model: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return place (N, n_contacts, 3) and rotation (N, n_contacts, 3, 3) of each contact."""
     poses = link_poses(model, q)
-    places = (model.placed(each.frame) for each in model.contacts)
+    places = (model.placed(contact.frame) for contact in model.contacts)
     T = np.stack([poses[:, link] @ place for link, place in places], axis=1)
     return T[..., :3, 3], T[..., :3, :3]
 
@@ -225,7 +210,7 @@ def _put_on_ground(
     q = q.copy()
     off = np.inf
     height = _measure_height(model, posture)
-    for _ in range(RULES.steps):
+    for _ in range(LEG_MOTION_STEPS):
         at, R = _place_contacts(points, q)
         jacobians = contact_jacobians(points, q)
         gaps = []
@@ -238,13 +223,13 @@ def _put_on_ground(
             rows.append(jacobians[k][:, :, 6:])
         gap = np.hstack(gaps)
         off = float(np.abs(gap).max())
-        if off < 1e-2 * RULES.reached * height:
+        if off < 1e-2 * LEG_MOTION_REACHED * height:
             break
         step = np.linalg.pinv(np.concatenate(rows, axis=1), rcond=1e-3)
         q[:, 6:] += np.clip(np.einsum("sij,sj->si", step, gap), -0.3, 0.3)
     bounds = MotionBounds.of(model)
     inside = bool(np.all((q >= bounds.lower)[:, 6:] & (q <= bounds.upper)[:, 6:]))
-    return q, inside and off < RULES.reached * height
+    return q, inside and off < LEG_MOTION_REACHED * height
 
 
 def _find_rotation(R: Array) -> Array:

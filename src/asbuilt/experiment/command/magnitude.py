@@ -127,9 +127,10 @@ def _sum_explained(laws: Iterable[MagnitudeLaw | None]) -> float:
 def fit_logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
     """Return the laws of magnitudes that were logged with the commands; empty if none were."""
     logged = [
-        (each, each.extra[LOGGED])
-        for each in recordings
-        if LOGGED in each.extra and any(is_magnitude(column) for column in each.extra[LOGGED].T)
+        (recording, recording.extra[LOGGED])
+        for recording in recordings
+        if LOGGED in recording.extra
+        and any(is_magnitude(column) for column in recording.extra[LOGGED].T)
     ]
     if not logged:
         return ()

@@ -8,7 +8,7 @@ under which they agree much better names what is wrong with it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,39 +21,33 @@ from asbuilt.experiment.free_base.measured_forces import check_forces, collect_m
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
 
+# Say from when a free base is read wrongly: own choices, tested on virtual and real robots.
+#
+# Another reading must leave less than `FREE_BASE_SHARE` of the squared disagreement. Contact flags
+# are shifted by up to `FREE_BASE_LONGEST_SHIFT` [s], and named from `FREE_BASE_SHIFT` [s]. A
+# contact that is closed slips above `FREE_BASE_SLIP` [m/s]; one that is open touches where it
+# stands within `FREE_BASE_HEIGHT` [m] of where it stands when closed. `FREE_BASE_GRAVITY` [m/s^2]
+# is the least mean by which accelerations that hold gravity differ from the rates of the velocity.
+# Stated radii are off by more than a part `FREE_BASE_RADIUS` from those on which feet roll. At most
+# `FREE_BASE_SAMPLES` of a log are looked at, `FREE_BASE_POSTURES` of them for the equations that
+# contacts leave: some in a part `FREE_BASE_LEFT` of them.
 
-@dataclass(frozen=True, slots=True)
-class FreeBaseLimits:
-    """Say from when a free base is read wrongly: own choices, tested on virtual and real robots.
-
-    Another reading must leave less than `share` of the squared disagreement. Contact flags are
-    shifted by up to `longest_shift` [s], and named from `shift` [s]. A contact that is closed
-    slips above `slip` [m/s]; one that is open touches where it stands within `height` [m] of where
-    it stands when closed. `gravity` [m/s^2] is the least mean by which accelerations that hold
-    gravity differ from the rates of the velocity. Stated radii are off by more than a part `radius`
-    from those on which feet roll. At most `samples` of a log are looked at, `postures` of them for
-    the equations that contacts leave: some in a part `left` of them.
-    """
-
-    share: float = 0.5
-    longest_shift: float = 0.1
-    shift: float = 0.02
-    slip: float = 0.3
-    often: float = 0.1
-    height: float = 0.01
-    gravity: float = 5.0
-    radius: float = 0.3
-    samples: int = 20_000
-    postures: int = 200
-    left: float = 0.02
-
-
-LIMITS = FreeBaseLimits()
+FREE_BASE_SHARE = 0.5
+FREE_BASE_LONGEST_SHIFT = 0.1
+FREE_BASE_SHIFT = 0.02
+FREE_BASE_SLIP = 0.3
+FREE_BASE_OFTEN = 0.1
+FREE_BASE_HEIGHT = 0.01
+FREE_BASE_GRAVITY = 5.0
+FREE_BASE_RADIUS = 0.3
+FREE_BASE_SAMPLES = 20_000
+FREE_BASE_POSTURES = 200
+FREE_BASE_LEFT = 0.02
 
 
 def check_free_base(model: RobotModel, recording: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with base and contacts of a recording."""
-    part = recording.taken(slice(0, LIMITS.samples))
+    part = recording.taken(slice(0, FREE_BASE_SAMPLES))
     if part.n_samples < 10 or not np.all(np.isfinite(part.q)):
         return ()
     rates = np.gradient(part.q, part.t, axis=0)
@@ -73,13 +67,13 @@ def _check_equations(model: RobotModel, recording: Recording) -> Iterator[Findin
     """
     measured = {place.frame for place in collect_measured_wrenches(recording, model)}
     unknown = [contact.frame not in measured for contact in model.contacts]
-    rows = slice(0, None, -(-recording.n_samples // LIMITS.postures))
+    rows = slice(0, None, -(-recording.n_samples // FREE_BASE_POSTURES))
     if recording.contact is None or not any(unknown):
         return
     closed = recording.contact[rows] * unknown
     basis = contact_basis(model, recording.q[rows], closed)
     taken = np.count_nonzero(np.linalg.norm(basis, axis=1) > 0.5, axis=0)
-    if np.mean(taken < model.n_joints) > LIMITS.left:
+    if np.mean(taken < model.n_joints) > FREE_BASE_LEFT:
         return
     flat = [contact.frame for contact in model.contacts if contact.flat]
     yield Finding(
@@ -103,19 +97,19 @@ def _check_velocities(model: RobotModel, recording: Recording, rates: Array) -> 
         return
     R = base_rotations(q)
     linear = np.einsum("sji,sj->si", R, qd[:, :3])  # as logged
-    if _measure_mean_square(linear - rates[:, :3]) < LIMITS.share * _measure_mean_square(
+    if _measure_mean_square(linear - rates[:, :3]) < FREE_BASE_SHARE * _measure_mean_square(
         qd[:, :3] - rates[:, :3]
     ):
         yield _report_wrong_axes("base_vx .. base_vz")
     angular, derived = (_turn_into_base_axes(q, each) for each in (qd, rates))
     off = _measure_mean_square(angular - derived)
-    if _measure_mean_square(angular - np.einsum("sij,sj->si", R, derived)) < LIMITS.share * off:
+    if _measure_mean_square(angular - np.einsum("sij,sj->si", R, derived)) < FREE_BASE_SHARE * off:
         yield _report_wrong_axes("base_wx .. base_wz")
         return
     for order, other in _list_other_readings(R):
         turned = np.gradient(np.unwrap(other, axis=0), recording.t, axis=0)
         again = np.hstack([q[:, :3], other]), np.hstack([rates[:, :3], turned])
-        if _measure_mean_square(angular - _turn_into_base_axes(*again)) < LIMITS.share * off:
+        if _measure_mean_square(angular - _turn_into_base_axes(*again)) < FREE_BASE_SHARE * off:
             yield Finding(
                 "quaternion_order",
                 "error",
@@ -160,7 +154,7 @@ def _check_accelerations(model: RobotModel, recording: Recording) -> Iterator[Fi
         return
     derived = np.gradient(recording.qd[:, :3], recording.t, axis=0)
     off = np.mean(recording.qdd[:, :3] - derived, axis=0)
-    if np.linalg.norm(off) > LIMITS.gravity:
+    if np.linalg.norm(off) > FREE_BASE_GRAVITY:
         yield Finding(
             "base_acceleration_gravity",
             "error",
@@ -209,14 +203,14 @@ def _check_contacts(model: RobotModel, recording: Recording, rates: Array) -> It
         return
     for k, name in enumerate(names):
         inner = _mark_inside(closed[:, k], round(0.03 * recording.rate))
-        slips = float(np.mean(speed[inner, k] > LIMITS.slip)) if inner.any() else 0.0
-        if slips > LIMITS.often:
+        slips = float(np.mean(speed[inner, k] > FREE_BASE_SLIP)) if inner.any() else 0.0
+        if slips > FREE_BASE_OFTEN:
             yield Finding(
                 "contact_slips",
                 "warning",
-                f"{name} moves faster than {LIMITS.slip:g} m/s in {100 * slips:.0f} % of the time"
-                " in which its contact is closed; forces there are projected away all the same, and"
-                " what an open contact would say is lost",
+                f"{name} moves faster than {FREE_BASE_SLIP:g} m/s in {100 * slips:.0f} % of the"
+                " time in which its contact is closed; forces there are projected away all the"
+                " same, and what an open contact would say is lost",
                 Cure("check its flags"),
             )
 
@@ -232,7 +226,7 @@ def _report_radii(model: RobotModel, recording: Recording) -> Iterator[Finding]:
             continue
         stated = contact.radius or 0.0
         text = f"{contact.frame} {1e3 * radius:.3g} mm"
-        if contact.flat or abs(stated - radius) > LIMITS.radius * max(stated, radius):
+        if contact.flat or abs(stated - radius) > FREE_BASE_RADIUS * max(stated, radius):
             kind = "a sole" if contact.flat else f"{1e3 * stated:.3g} mm"
             other.append(f"{text} (stated: {kind})")
         else:
@@ -272,7 +266,7 @@ def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:
     """
     capped = np.minimum(speed, np.quantile(speed, 0.9, axis=0)) ** 2
     changing = [k for k in range(closed.shape[1]) if closed[:, k].any() and not closed[:, k].all()]
-    most = round(LIMITS.longest_shift * rate)
+    most = round(FREE_BASE_LONGEST_SHIFT * rate)
     if not changing or len(closed) < 4 * most:
         return 0.0
     inner = slice(most, len(closed) - most)
@@ -284,7 +278,7 @@ def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:
     shifts = range(-most, most + 1)
     found = {shift: disagreement(shift) for shift in shifts}
     best = min(shifts, key=lambda shift: found[shift])
-    named = abs(best) / rate >= LIMITS.shift and found[best] < LIMITS.share * found[0]
+    named = abs(best) / rate >= FREE_BASE_SHIFT and found[best] < FREE_BASE_SHARE * found[0]
     return best / rate if named else 0.0
 
 

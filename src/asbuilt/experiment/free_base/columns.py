@@ -61,7 +61,7 @@ def with_base_columns(
     posed = QUATERNION[0] in columns
     sensed = "imu_wx" in columns
     for group, (problem, cure) in table.unread.items():
-        of_contact = group in [f"contact_{each.frame}" for each in model.contacts]
+        of_contact = group in [f"contact_{contact.frame}" for contact in model.contacts]
         if of_contact or not (posed or sensed):
             raise RecordingError(problem, cure=Cure(cure), file=table.source)
         if group == "base" and not posed:
@@ -103,7 +103,7 @@ def _place_on_base(table: LogTable, model: RobotModel, frame: str, field: str) -
         link = -1
         placement = np.eye(4)
     if link != base:
-        fixed = [each.name for each in model.frames if each.link == base]
+        fixed = [frame.name for frame in model.frames if frame.link == base]
         listed = ", ".join([model.link_names[base], *fixed])
         raise RecordingError(
             f"{table.source}: the frame {frame!r} is not fixed to the base of {model.name}; its"
@@ -211,7 +211,7 @@ def _find_closed_contacts(recording: Recording, model: RobotModel) -> Array:
             _stack_columns(recording, [f"contact_{frame}"], why)[:, 0] if found is None else found
         )
 
-    return np.stack([closed(each.frame) for each in model.contacts], axis=1)
+    return np.stack([closed(contact.frame) for contact in model.contacts], axis=1)
 
 
 def _stack_columns(recording: Recording, names: list[str] | tuple[str, ...], what: str) -> Array:

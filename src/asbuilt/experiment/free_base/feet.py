@@ -160,41 +160,35 @@ def integrate(x: Array, dt: float) -> Array:
     return np.vstack([np.zeros(x.shape[1]), np.cumsum(0.5 * dt * (x[1:] + x[:-1]), axis=0)])
 
 
-@dataclass(frozen=True, slots=True)
-class RollingRules:
-    """Say when a foot is taken to roll: own choices, tested on virtual robots and a Solo12.
+# Say when a foot is taken to roll: own choices, tested on virtual robots and a Solo12.
+#
+# The foot is followed over pieces of stance of up to `ROLLING_LONGEST` [s] and at least
+# `ROLLING_SAMPLES` samples, less an `ROLLING_EDGE` of every stance at both ends, where it lands and
+# lifts. At least `ROLLING_PIECES` of them are needed, and in the median piece rolling leaves less
+# than `ROLLING_LEFT` of the squared displacement. At most `ROLLING_READ` samples of a recording are
+# looked at; radii are `ROLLING_SMALLEST` to `ROLLING_LARGEST` [m].
 
-    The foot is followed over pieces of stance of up to `longest` [s] and at least `samples`
-    samples, less an `edge` of every stance at both ends, where it lands and lifts. At least
-    `pieces` of them are needed, and in the median piece rolling leaves less than `left` of the
-    squared displacement. At most `read` samples of a recording are looked at; radii are `smallest`
-    to `largest` [m].
-    """
-
-    longest: float = 0.5
-    edge: float = 1.0 / 6.0
-    samples: int = 5
-    pieces: int = 5
-    left: float = 0.5
-    smallest: float = 2e-3
-    largest: float = 0.2
-    read: int = 20_000
-
-
-ROLLING = RollingRules()
+ROLLING_LONGEST = 0.5
+ROLLING_EDGE = 1.0 / 6.0
+ROLLING_SAMPLES = 5
+ROLLING_PIECES = 5
+ROLLING_LEFT = 0.5
+ROLLING_SMALLEST = 2e-3
+ROLLING_LARGEST = 0.2
+ROLLING_READ = 20_000
 
 
 def set_rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
     """Return a robot whose contacts of unstated radius have that on which they roll, if any."""
-    unstated = [each.radius is None and not each.flat for each in model.contacts]
+    unstated = [contact.radius is None and not contact.flat for contact in model.contacts]
     if not any(unstated):
         return model
     radii = estimate_rolling_radii(model, recordings)
     return replace(
         model,
         contacts=tuple(
-            replace(each, radius=radius) if open_ and radius else each
-            for each, radius, open_ in zip(model.contacts, radii, unstated, strict=True)
+            replace(contact, radius=radius) if open_ and radius else contact
+            for contact, radius, open_ in zip(model.contacts, radii, unstated, strict=True)
         ),
     )
 
@@ -204,11 +198,11 @@ def estimate_rolling_radii(
 ) -> list[float | None]:
     """Return the radius [m] on which each contact rolls; None where it does not show one."""
     flat = replace(
-        model, contacts=tuple(replace(each, flat=True, radius=0.0) for each in model.contacts)
+        model, contacts=tuple(replace(contact, flat=True, radius=0.0) for contact in model.contacts)
     )
     pieces: list[list[tuple[Array, Array]]] = [[] for _ in model.contacts]
     for recording in recordings:
-        part = recording.taken(slice(0, ROLLING.read))
+        part = recording.taken(slice(0, ROLLING_READ))
         readable = np.isfinite(part.rate) and bool(np.all(np.isfinite(part.q)))
         if part.contact is None or model.n_floating != 6 or not readable:
             continue
@@ -234,18 +228,18 @@ def _cut_stance_segments(moved: Array, closed: Mask, rate: float) -> Iterator[tu
     """Yield displacement and what a radius of 1 m would give, (2 n,) each, of pieces of stance."""
     changes = np.flatnonzero(np.diff(np.r_[False, closed, False].astype(np.int8)))
     for start, stop in changes.reshape(-1, 2).tolist():
-        edge = round(ROLLING.edge * (stop - start))
+        edge = round(ROLLING_EDGE * (stop - start))
         stance = moved[start + edge : stop - edge]
-        parts = max(1, round(len(stance) / (ROLLING.longest * rate)))
+        parts = max(1, round(len(stance) / (ROLLING_LONGEST * rate)))
         for piece in np.array_split(stance, parts):
-            if len(piece) >= ROLLING.samples:
+            if len(piece) >= ROLLING_SAMPLES:
                 off = piece - piece.mean(axis=0)
                 yield off[:, :2].ravel(), np.stack([off[:, 4], -off[:, 3]], axis=1).ravel()
 
 
 def _estimate_radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
     """Return the median radius, weighted by the turns of pieces, if the foot rolls on it."""
-    if len(pieces) < ROLLING.pieces:
+    if len(pieces) < ROLLING_PIECES:
         return None
     turns = np.array([x @ x for _, x in pieces])
     radii = np.array([y @ x for y, x in pieces]) / np.maximum(turns, 1e-30)
@@ -253,5 +247,5 @@ def _estimate_radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
     half = np.searchsorted(np.cumsum(turns[order]), 0.5 * turns.sum())
     radius = float(radii[order][half])
     left = [np.sum((y - radius * x) ** 2) / max(float(y @ y), 1e-30) for y, x in pieces]
-    rolls = ROLLING.smallest < radius < ROLLING.largest and np.median(left) < ROLLING.left
+    rolls = ROLLING_SMALLEST < radius < ROLLING_LARGEST and np.median(left) < ROLLING_LEFT
     return round(radius, 4) if rolls else None

@@ -11,7 +11,7 @@ So the masses of a description say in which axes the forces are, and which way.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def collect_measured_wrenches(recording: Recording, model: RobotModel) -> dict[C
         If some components of a force are missing, or the moments on a sole.
     """
     base = Contact(model.link_names[model.n_floating - 1], radius=0.0)
-    places = {BASE: base} | {f"contact_{each.frame}": each for each in model.contacts}
+    places = {BASE: base} | {f"contact_{contact.frame}": contact for contact in model.contacts}
     found = {}
     for key, contact in places.items():
         parts = [[f"{key}_{axis}" for axis in kind] for kind in (FORCE, MOMENT)]
@@ -113,20 +113,15 @@ def turn_into_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: 
     return np.asarray(np.einsum("sij,skj->ski", R, parts).reshape(wrench.shape))
 
 
-@dataclass(frozen=True, slots=True)
-class ForceLimits:
-    """Say from when forces are read wrongly: own choices, tested on virtual robots.
+# Say from when forces are read wrongly: own choices, tested on virtual robots.
+#
+# Forces are averaged over `FORCE_WINDOW` [s]. Another reading must leave less than `FORCE_SHARE` of
+# the squared disagreement with the weight. Flags and forces disagree in more than a part
+# `FORCE_OFTEN`.
 
-    Forces are averaged over `window` [s]. Another reading must leave less than `share` of the
-    squared disagreement with the weight. Flags and forces disagree in more than a part `often`.
-    """
-
-    window: float = 0.1
-    share: float = 0.25
-    often: float = 0.1
-
-
-LIMITS = ForceLimits()
+FORCE_WINDOW = 0.1
+FORCE_SHARE = 0.25
+FORCE_OFTEN = 0.1
 
 
 def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
@@ -144,7 +139,7 @@ def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Itera
         known &= ~(recording.contact > 0.5).any(axis=1)
 
     def off(force: Array) -> float:
-        width = max(1, round(LIMITS.window * recording.rate))
+        width = max(1, round(FORCE_WINDOW * recording.rate))
         left = (needed - force)[known]
         means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
         return float(np.mean(means**2)) if len(means) else 0.0
@@ -156,7 +151,7 @@ def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Itera
         "forces of the robot on its surroundings, in world axes": -plain,
     }
     best = min(readings, key=lambda name: off(readings[name]))
-    if off(readings[best]) < LIMITS.share * off(world):
+    if off(readings[best]) < FORCE_SHARE * off(world):
         yield Finding(
             "force_axes",
             "error",
@@ -170,7 +165,7 @@ def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Itera
         if flag is None:
             continue
         wrong = float(np.mean((flag > 0.5) != (detect_force(np.linalg.norm(force, axis=1)) > 0.5)))
-        if wrong > LIMITS.often:
+        if wrong > FORCE_OFTEN:
             yield Finding(
                 "contact_force_flags",
                 "warning",

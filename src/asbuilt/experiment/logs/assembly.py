@@ -19,7 +19,7 @@ from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.columns.roles import parse_file_quantity, recognise
 from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure

@@ -20,13 +20,13 @@ from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
 from asbuilt.experiment.logs.columns.layout import QUANTITIES
 from asbuilt.experiment.logs.formats.log_format import choose_log_format
 from asbuilt.experiment.logs.mending import LogMender
-from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
     find_sheet,
     find_table_layout,
     read_recording,
 )
+from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 

@@ -127,9 +127,9 @@ class LogMender:
                 scale = self._layout.scales.get(str(self._layout.time), 1.0)
                 self._step = scale * float(times[-1] - times[0]) / (times.size - 1)
         columns = dict(ordered.columns)
-        for each in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
-            before = self._mended.get(each.kind)
-            self._mended[each.kind] = each if before is None else before.with_more(each)
+        for value in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
+            before = self._mended.get(value.kind)
+            self._mended[value.kind] = value if before is None else before.with_more(value)
         self._unwrap(columns)
         return replace(ordered, columns=columns, notes=(*table.notes, *self._list_notes()))
 

@@ -15,13 +15,13 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.free_base.feet import set_rolling_radii
 from asbuilt.experiment.logs.formats.log_format import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, is_long
-from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
     find_sheet,
     group_files,
     read_recording,
 )
+from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure

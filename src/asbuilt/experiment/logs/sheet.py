@@ -97,7 +97,7 @@ RANGES = {"rate": RATES, "gains": GAINS, "time_factor": Range(1e-12, 1e12)} | {
 def _list_numbers(given: Any) -> list[Any]:
     """Return the numbers of a field."""
     values = given if isinstance(given, list) else [given]
-    return [each for each in values if isinstance(each, int | float)]
+    return [value for value in values if isinstance(value, int | float)]
 
 
 class _Part(BaseModel):
@@ -108,7 +108,10 @@ class _Part(BaseModel):
     def _refuse_truth(cls, given: Any) -> Any:
         """Refuse `rate = true`, which would be 1."""
         for name, value in given.items() if isinstance(given, Mapping) else ():
-            if any(isinstance(each, bool) for each in _list_numbers(value)) and name != "header":
+            if (
+                any(isinstance(number, bool) for number in _list_numbers(value))
+                and name != "header"
+            ):
                 raise ValueError(f"{name} = {str(value).lower()} is given; a number is expected")
         return given
 
@@ -346,7 +349,9 @@ class RecordingSheet(_Part):
 
         All do where there are no windows.
         """
-        inside = [(t >= start + each.start) & (t < start + each.stop) for each in self.windows]
+        inside = [
+            (t >= start + window.start) & (t < start + window.stop) for window in self.windows
+        ]
         return np.any(inside, axis=0) if inside else np.ones(t.size, dtype=np.bool_)
 
     @model_validator(mode="after")

@@ -186,7 +186,7 @@ def smooth_motion(logged: Sequence[Recording], step: float, window: int) -> Smoo
         even = np.arange(part.t[0], part.t[-1], step)
         q, *rest = [_resample(even, part.t, values) for values in columns]
         steps = np.diff(q, axis=1)
-        derivatives = [filter_rows(q, value), *(filter_rows(steps, each) for each in of_steps)]
+        derivatives = [filter_rows(q, value), *(filter_rows(steps, step) for step in of_steps)]
         others = [filter_rows(values, value) for values in rest]
         smooth.append([values.T for values in (*derivatives, *others)])
     q, qd, qdd, tau, *measured = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]

@@ -18,8 +18,8 @@ from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet, find_table_layout, read_table
+from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.recordings import Recorded, read_fitted_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.checks import RecordingCheck, check_recording

@@ -89,7 +89,9 @@ def _find_flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
     if at is None:
         return model.tool_link, np.eye(4)
     links = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
-    frames = {each.name: (each.link, each.placement) for each in model.frames if each.link != ROOT}
+    frames = {
+        frame.name: (frame.link, frame.placement) for frame in model.frames if frame.link != ROOT
+    }
     if at not in links | frames:
         names = [*links, *frames]
         raise UsageError(

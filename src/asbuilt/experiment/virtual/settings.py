@@ -94,7 +94,7 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
         place = "controller" if part in FOLLOWERS else part
         changes[place][field] = _parse_value(name, text, of_joints=of_joints)
     own = changes.pop("", {})
-    parts = {place: replace(getattr(robot, place), **each) for place, each in changes.items()}
+    parts = {place: replace(getattr(robot, place), **change) for place, change in changes.items()}
     return replace(robot, **own, **parts) if settings else robot
 
 

@@ -92,25 +92,18 @@ def simulate_recording(
 Release = Literal["drop", "step", "free"]
 
 
-@dataclass(frozen=True, slots=True)
-class FreeMotionRules:
-    """Hold how a free motion starts and is integrated."""
+# Hold how a free motion starts and is integrated.
 
-    step: float = 0.2
-    """Size of a step of each joint [rad]; a quarter of it [m] for sliding joints."""
-    speed: float = 0.3
-    """Speed at which a free motion starts, as a fraction of each joint's velocity limit."""
-    longest: float = 3600.0
-    """Longest free motion [s]."""
-    timestep: float = 5e-4
-    """Step of the integrator [s]."""
-    logged: int = 2
-    """Steps of the integrator per sample that is kept."""
-    diverged: float = 1e4
-    """Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
+FREE_MOTION_STEP = 0.2  # Size of a step of each joint [rad]; a quarter of it [m] for sliding joints
+# Speed at which a free motion starts, as a fraction of each joint's velocity limit
+FREE_MOTION_SPEED = 0.3
+FREE_MOTION_LONGEST = 3600.0  # Longest free motion [s]
+FREE_MOTION_TIMESTEP = 5e-4  # Step of the integrator [s]
+FREE_MOTION_LOGGED = 2  # Steps of the integrator per sample that is kept
+# Joint velocity [rad/s or m/s] from which a simulation counts as diverged
+FREE_MOTION_DIVERGED = 1e4
 
 
-FREE = FreeMotionRules()
 STEP_CONTROLLER = PositionController(bandwidth=3.0, feedforward="gravity")
 """The controller of a step: gravity and a pole pair at 3 Hz, according to the model itself."""
 
@@ -200,10 +193,12 @@ def run_free(
         raise UsageError(
             f"there is no release {release!r}; there are {', '.join(get_args(Release))}"
         )
-    if not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged):
+    if not (np.isfinite(duration) and duration >= 2 * FREE_MOTION_TIMESTEP * FREE_MOTION_LOGGED):
         raise UsageError(f"the duration must be a positive number of seconds, got {duration}")
-    if duration > FREE.longest:
-        raise UsageError(f"the duration must be at most {FREE.longest:g} s, got {duration:g}")
+    if duration > FREE_MOTION_LONGEST:
+        raise UsageError(
+            f"the duration must be at most {FREE_MOTION_LONGEST:g} s, got {duration:g}"
+        )
     if further:
         raise UsageError(
             f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
@@ -218,13 +213,17 @@ def run_free(
     if release == "free":
         viscous, coulomb, offset = np.zeros((3, n))
     pose = _check_state(start, n, "start") if start is not None else find_heaviest_pose(model)
-    rates = FREE.speed * MotionBounds.assumed(model).velocity if release == "free" else np.zeros(n)
+    rates = (
+        FREE_MOTION_SPEED * MotionBounds.assumed(model).velocity
+        if release == "free"
+        else np.zeros(n)
+    )
     rates = rates if speed is None else _check_state(speed, n, "speed")
     physics = Physics(
-        model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=FREE.timestep
+        model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=FREE_MOTION_TIMESTEP
     )
-    samples = round(duration / (FREE.timestep * FREE.logged)) + 1
-    t: Array = np.arange(samples, dtype=np.float64) * FREE.timestep * FREE.logged
+    samples = round(duration / (FREE_MOTION_TIMESTEP * FREE_MOTION_LOGGED)) + 1
+    t: Array = np.arange(samples, dtype=np.float64) * FREE_MOTION_TIMESTEP * FREE_MOTION_LOGGED
     q, qd, tau = np.empty((3, samples, n))
     goal = pose + _choose_step(model, pose)
     limit = np.array([joint.limits.torque for joint in model.joints])
@@ -232,7 +231,7 @@ def run_free(
     with physics.quiet():
         for k in range(samples):
             q[k], qd[k] = physics.state
-            if not np.all(np.abs(qd[k]) < FREE.diverged):
+            if not np.all(np.abs(qd[k]) < FREE_MOTION_DIVERGED):
                 raise InertiaError(
                     f"the simulation of {model.name} diverges at t = {t[k]:.3g} s: its mass matrix"
                     " is not positive definite there",
@@ -246,7 +245,7 @@ def run_free(
                 if release == "step"
                 else 0.0
             )
-            physics.advance(tau[k] - offset, FREE.logged)
+            physics.advance(tau[k] - offset, FREE_MOTION_LOGGED)
     ones = np.ones((samples, 1))
     _, friction = physics.accelerations(
         q, qd, tau - offset, coulomb=coulomb * ones, viscous=viscous * ones
@@ -285,7 +284,9 @@ def _evaluate_controller(
 def _choose_step(model: RobotModel, pose: Array) -> Array:
     """Return a step of every joint towards the middle of its range, shape (n,)."""
     bounds = MotionBounds.assumed(model)
-    size = np.array([FREE.step if joint.is_revolute else FREE.step / 4 for joint in model.joints])
+    size = np.array(
+        [FREE_MOTION_STEP if joint.is_revolute else FREE_MOTION_STEP / 4 for joint in model.joints]
+    )
     return np.where(pose < 0.5 * (bounds.lower + bounds.upper), size, -size)
 
 

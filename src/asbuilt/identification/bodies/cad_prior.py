@@ -15,32 +15,22 @@ from asbuilt.dynamics import BaseParameters, DriveSet, parameter_names, paramete
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 
+# Hold sizes and weights of a prior where CAD states none.
 
-@dataclass(frozen=True, slots=True)
-class PriorRules:
-    """Hold sizes and weights of a prior where CAD states none."""
-
-    no_thickness: float = 1e-5
-    """Ratio of smallest to total second moment below which a link is flat (a plate 0.3 % thick)."""
-    usual_thickness: float = 1e-3
-    """Least ratio that a flat link is given."""
-    point_mass: float = 1e-9
-    """Total second moment in mass times squared reach below which a link is a point.
-
-    It then gets the moments of a body a quarter as wide as its reach.
-    """
-    smallest_reach: float = 0.05
-    """Least size of a link, in the robot's unit of length."""
-    negligible: float = 1e-6
-    """Mass, in the robot's unit, of a link described without mass: consistent, without torque."""
-    guessed_strength: float = 0.1
-    """Weight of a link without CAD values; links with CAD values have 1."""
-    unscaled: float = 1e-6
-    """Weight of drive parameters without a scale from data, which matters only if data leave them
-    open."""
+# Ratio of smallest to total second moment below which a link is flat (a plate 0.3 % thick)
+PRIOR_NO_THICKNESS = 1e-5
+PRIOR_USUAL_THICKNESS = 1e-3  # Least ratio that a flat link is given
+# Total second moment in mass times squared reach below which a link is a point. It then gets the
+# moments of a body a quarter as wide as its reach.
+PRIOR_POINT_MASS = 1e-9
+PRIOR_SMALLEST_REACH = 0.05  # Least size of a link, in the robot's unit of length
+# Mass, in the robot's unit, of a link described without mass: consistent, without torque
+PRIOR_NEGLIGIBLE = 1e-6
+PRIOR_GUESSED_STRENGTH = 0.1  # Weight of a link without CAD values; links with CAD values have 1
+# Weight of drive parameters without a scale from data, which matters only if data leave them open
+PRIOR_UNSCALED = 1e-6
 
 
-RULES = PriorRules()
 USUAL_DESIGN_EFFECT = 10.0
 """Samples per independent sample: the median of 14 recordings of four robots."""
 
@@ -109,7 +99,7 @@ class CadPrior:
     notes: tuple[str, ...] = ()
     mass_ranges: tuple[tuple[tuple[int, ...], float, float], ...] = ()
     drive_scale: Array = field(default_factory=lambda: np.zeros(0))
-    drive_weight: float = RULES.unscaled
+    drive_weight: float = PRIOR_UNSCALED
 
     def __post_init__(self) -> None:
         if not self.drive_scale.size:
@@ -205,14 +195,14 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     for i, link in enumerate(model.links):
         points = _list_joint_points(model, i)
         farthest = float(np.max(np.linalg.norm(points, axis=1)))
-        reach[i] = max(RULES.smallest_reach * units.length, farthest)
+        reach[i] = max(PRIOR_SMALLEST_REACH * units.length, farthest)
         if masses[i] > 0:
             mass = masses[i]
             com = link.inertia.com
             spread = _second_moment(link.inertia.inertia_about_com)
         elif link.negligible:
             # A frame without mass must stay a body, else the logarithm of its determinant has none.
-            mass = RULES.negligible * units.mass
+            mass = PRIOR_NEGLIGIBLE * units.mass
             com = points.mean(axis=0)
             spread = np.zeros((3, 3))
         else:
@@ -222,14 +212,14 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
                 _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
             )
             # A guess holds a tenth as much as a CAD value.
-            strength[i] = RULES.guessed_strength
+            strength[i] = PRIOR_GUESSED_STRENGTH
         eigenvalues, axes = np.linalg.eigh(spread)
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
         # Eigenvalues of the second moment must all be positive: three of a point are zero.
-        if total <= RULES.point_mass * mass * reach[i] ** 2:
+        if total <= PRIOR_POINT_MASS * mass * reach[i] ** 2:
             corrected = np.full(3, mass * (reach[i] / 4.0) ** 2)
-        elif eigenvalues[0] < RULES.no_thickness * total:
-            corrected = np.maximum(eigenvalues, RULES.usual_thickness * total)
+        elif eigenvalues[0] < PRIOR_NO_THICKNESS * total:
+            corrected = np.maximum(eigenvalues, PRIOR_USUAL_THICKNESS * total)
         else:
             corrected = eigenvalues
         if masses[i] <= 0 and not link.negligible:

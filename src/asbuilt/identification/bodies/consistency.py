@@ -162,21 +162,14 @@ FEW = 3
 """Parameters of a combination that is short enough."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShortestRules:
-    """Hold how the shortest inconsistent combination is searched."""
+# Hold how the shortest inconsistent combination is searched.
 
-    rounds: int = 6
-    """Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008)."""
-    dearest: float = 100.0
-    """Largest l1 weight of a parameter, relative to its standard error."""
-    solved: float = 1e-9
-    """Negative part of a coefficient that is rounding."""
-    rounding: float = 1e-4
-    """Coefficient, in standard errors relative to the largest, that is left out."""
-
-
-RULES = ShortestRules()
+# Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008).
+SHORTEST_ROUNDS = 6
+SHORTEST_DEAREST = 100.0  # Largest l1 weight of a parameter, relative to its standard error
+SHORTEST_SOLVED = 1e-9  # Negative part of a coefficient that is rounding
+# Coefficient, in standard errors relative to the largest, that is left out
+SHORTEST_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,7 +285,7 @@ class _Separation:
         size = np.abs(self.images).max(axis=0)
         eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
         drives = self.images[self.passive].min(axis=0, initial=0.0)
-        proof = (np.minimum(eigenvalues, drives) >= -RULES.solved * size) & ~np.any(
+        proof = (np.minimum(eigenvalues, drives) >= -SHORTEST_SOLVED * size) & ~np.any(
             # Free drives may take any value, so that no proof may contain them.
             self.images[self.free],
             axis=0,
@@ -305,15 +298,15 @@ class _Separation:
         """Return a proof with few parameters, starting from the most significant."""
         proof = surest
         prices = np.ones(len(surest))
-        for _ in range(RULES.rounds):
+        for _ in range(SHORTEST_ROUNDS):
             candidate = self.solve(prices)
             proof = proof if candidate is None else candidate
             if candidate is None or np.count_nonzero(proof) <= FEW:
                 break
             # Candes, Wakin and Boyd: what is small is dearer in the next round.
             share = np.abs(proof) * self.size
-            least = share.max() / RULES.dearest
-            prices = np.minimum(RULES.dearest, share.max() / np.maximum(share, least))
+            least = share.max() / SHORTEST_DEAREST
+            prices = np.minimum(SHORTEST_DEAREST, share.max() / np.maximum(share, least))
         return proof
 
     def solve(self, prices: Array) -> Array | None:
@@ -361,5 +354,5 @@ class _Separation:
         if not solution.is_solved:
             return None
         u = solution.x[:p]
-        u[np.abs(u) <= RULES.rounding * np.abs(u).max()] = 0.0
+        u[np.abs(u) <= SHORTEST_ROUNDING * np.abs(u).max()] = 0.0
         return np.asarray(u / self.size)

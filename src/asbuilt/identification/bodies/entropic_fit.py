@@ -32,27 +32,18 @@ CLOSE = 1e-9
 """Squared Newton decrement at the last step but one, in squared weighted residuals or weights."""
 
 
-@dataclass(frozen=True, slots=True)
-class NewtonRules:
-    """Hold when the steps of the fit are shortened, and when it ends."""
+# Hold when the steps of the fit are shortened, and when it ends.
 
-    central: float = 0.5
-    """Largest relative distance of duals and multipliers from the central path at the end."""
-    rounding: float = 1e-14
-    """Relative rise of the value that is rounding."""
-    most_steps: int = 300
-    """Most Newton steps of a fit."""
-    sufficient: float = 0.05
-    """Share of the promised decrease that a step must reach (Armijo)."""
-    shorter: float = 0.5
-    """Factor by which a step that does not is shortened, ..."""
-    shortest: float = 1e-12
-    """... down to this part of the whole step."""
-    near_edge: float = 0.95
-    """Part of the way to the nearest bound that a step may go."""
+# Largest relative distance of duals and multipliers from the central path at the end
+NEWTON_CENTRAL = 0.5
+NEWTON_ROUNDING = 1e-14  # Relative rise of the value that is rounding
+NEWTON_MOST_STEPS = 300  # Most Newton steps of a fit
+NEWTON_SUFFICIENT = 0.05  # Share of the promised decrease that a step must reach (Armijo)
+NEWTON_SHORTER = 0.5  # Factor by which a step that does not is shortened,
+NEWTON_SHORTEST = 1e-12  # ... down to this part of the whole step.
+NEWTON_NEAR_EDGE = 0.95  # Part of the way to the nearest bound that a step may go
 
 
-NEWTON = NewtonRules()
 SIZES = Cure("check the data for values of extreme size")
 
 
@@ -193,7 +184,7 @@ class EntropicProblem:
         # Each problem stops by itself, so that its result does not depend on the others.
         active = np.arange(len(search.y))
         steps = 0
-        while active.size and steps < NEWTON.most_steps:
+        while active.size and steps < NEWTON_MOST_STEPS:
             active = active[~search.advance(active, close)]
             steps = steps + 1
         if active.size:
@@ -331,23 +322,23 @@ class _Search:
                 slack[trying] + far * narrowing[trying],
             )
             values, roots = self._evaluated(*tried)
-            promised = NEWTON.sufficient * length[trying] * np.maximum(self.decrements[b], 0.0)
+            promised = NEWTON_SUFFICIENT * length[trying] * np.maximum(self.decrements[b], 0.0)
             # Near the minimum the promised decrease is less than rounding of the value.
-            good = values <= self.values[b] - promised + NEWTON.rounding * np.abs(self.values[b])
+            good = values <= self.values[b] - promised + NEWTON_ROUNDING * np.abs(self.values[b])
             kept = b[good]
             self.y[kept] += (far * step[trying])[good]
             self.q[kept], self.error[kept], self.slack[kept] = (state[good] for state in tried)
             self.values[kept], self.roots[kept] = values[good], roots[good]
             trying = trying[~good]
-            length[trying] *= NEWTON.shorter
-            trying = trying[length[trying] > NEWTON.shortest]
+            length[trying] *= NEWTON_SHORTER
+            trying = trying[length[trying] > NEWTON_SHORTEST]
         # Off the central path the decrement is small without being at the minimum.
         off = np.maximum(
             np.max(np.abs(V**2 / strength - 1.0), axis=(1, 2), initial=0.0),
             np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0),
         )
         return np.asarray(
-            (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= NEWTON.central)
+            (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= NEWTON_CENTRAL)
         )
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:
@@ -388,7 +379,7 @@ def _find_step_length(change: Array, V: Array, approach: Array) -> Array:
     edge = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(axis=(1, 2))
     nearest = np.column_stack([edge, approach]).max(axis=1)
     tiny = np.finfo(np.float64).tiny
-    return np.asarray(np.minimum(1.0, NEWTON.near_edge / np.maximum(nearest, tiny)))
+    return np.asarray(np.minimum(1.0, NEWTON_NEAR_EDGE / np.maximum(nearest, tiny)))
 
 
 def _factor_matrices(matrices: Array) -> Array:

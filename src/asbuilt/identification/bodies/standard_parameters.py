@@ -32,30 +32,25 @@ from asbuilt.identification.bodies.conic_fit import (
 from asbuilt.identification.bodies.consistency import check_base_parameters
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
-from asbuilt.identification.information.random_motion import build_random_motion_rows
+from asbuilt.identification.information.random_states import build_random_motion_rows
 from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.scaled import Scaled
 
+# Hold how exactly standard parameters reproduce base parameters.
 
-@dataclass(frozen=True, slots=True)
-class StandardRules:
-    """Hold how exactly standard parameters reproduce base parameters."""
-
-    exact_part: float = 1e-6
-    """Least part of CAD at which base parameters are kept exactly; below, rounding decides."""
-    sharpest: float = 1e7
-    """Torque in standard errors of beta beyond which beta is kept exactly (simulations)."""
-    fine_barrier: float = 1e-12
-    """Weight of the logarithmic barrier of that fit, far below the usual one."""
-    least_share: float = 1e-5
-    """Least armature that shares a base parameter with a link, in units of its scale."""
-    rounding: float = 1e-6
-    """Relative violation of a bound that is rounding of the fit."""
-    relative_resolution: float = 1e-3
-    """Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
+# Least part of CAD at which base parameters are kept exactly; below, rounding decides
+STANDARD_EXACT_PART = 1e-6
+# Torque in standard errors of beta beyond which beta is kept exactly (simulations)
+STANDARD_SHARPEST = 1e7
+# Weight of the logarithmic barrier of that fit, far below the usual one
+STANDARD_FINE_BARRIER = 1e-12
+# Least armature that shares a base parameter with a link, in units of its scale
+STANDARD_LEAST_SHARE = 1e-5
+STANDARD_ROUNDING = 1e-6  # Relative violation of a bound that is rounding of the fit
+# Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence
+STANDARD_RELATIVE_RESOLUTION = 1e-3
 
 
-RULES = StandardRules()
 LIMIT = 1.0
 """Largest chi-square of the parameters closest to CAD: no torque, and no other combination of base
 parameters, then moves by more than one standard error of its own (Scheffe's bound).
@@ -206,18 +201,18 @@ def find_standard_parameters(
     motion = build_random_motion_rows(model, base)
     of_motion = _measure_joint_rms(motion @ asked, model.n_joints)
     # Rounding: CAD values may lie on their bound.
-    known = bound_known_masses(cad).wider(RULES.rounding, cad.parameters)
+    known = bound_known_masses(cad).wider(STANDARD_ROUNDING, cad.parameters)
     shared = shared.and_also(known)
     passive = drives.and_also(bound_known_masses(cad))
-    within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
+    within = shared.and_also(bound_widely(cad).wider(STANDARD_ROUNDING, cad.parameters))
     chi, part = find_deepest_inside(cad, coordinates, asked, within)
     # Wide bounds give way before beta does: they are only likely.
-    if part > RULES.exact_part:
+    if part > STANDARD_EXACT_PART:
         shared = within
     else:
         chi, part = find_deepest_inside(cad, coordinates, asked, shared)
     # The nearest model has passive drives, so that negative friction refutes exactness.
-    exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
+    exact = part > STANDARD_EXACT_PART and not (nearest and np.any(alone < 0.0))
     consistent = exact or nearest
     if not exact and nearest:
         distance = factor_distance(_find_root(asked, motion, information), asked)
@@ -225,7 +220,7 @@ def find_standard_parameters(
         scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
         # Next to zero, not at it: the search for the deepest point needs an interior.
         chi[cad.non_negative] = np.maximum(
-            chi[cad.non_negative], RULES.least_share * scale * moving
+            chi[cad.non_negative], STANDARD_LEAST_SHARE * scale * moving
         )
         chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
     plausible = None
@@ -234,7 +229,7 @@ def find_standard_parameters(
         (exact and uncertainty_root is not None and not np.any(alone < 0.0))
         and len(uncertainty_root)
         # Torque in standard errors: beyond rounding no chi-square could be kept.
-        and np.linalg.norm(uncertainty_root @ asked) <= RULES.sharpest
+        and np.linalg.norm(uncertainty_root @ asked) <= STANDARD_SHARPEST
     ):
         plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
     chi = (
@@ -281,7 +276,7 @@ def find_deepest_inside(
     along, triangle = np.linalg.qr(whitened[:, 1:])
     free = coordinates.dependent @ np.linalg.inv(triangle)
     # Bounds hold with a little of t as slack, bodies with the whole.
-    slack = np.append(np.full(len(bounds.rows), RULES.least_share), 1.0)[:, None]
+    slack = np.append(np.full(len(bounds.rows), STANDARD_LEAST_SHARE), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
     constraints = np.block([[-rows, slack], [-along[:inertial], q0[:inertial, None]]])
     # t <= 1: deeper than CAD itself is no aim.
@@ -318,7 +313,7 @@ def _find_closest_above(
         held=True,
     )
     return np.asarray(
-        problem.fit(None, 1.0, (chi - below)[None], barrier=RULES.fine_barrier).chi[0] + below
+        problem.fit(None, 1.0, (chi - below)[None], barrier=STANDARD_FINE_BARRIER).chi[0] + below
     )
 
 
@@ -338,7 +333,7 @@ def _find_root(beta: Array, motion: Array, information: ArrayLike | None) -> Arr
     if information is None:
         torque = float(np.sqrt(np.mean((motion @ beta) ** 2)))
         # So small a noise that CAD decides nothing.
-        return motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
+        return motion / max(STANDARD_RELATIVE_RESOLUTION * torque, np.finfo(np.float64).tiny)
     return Scaled(np.asarray(information, dtype=np.float64)).root
 
 

@@ -96,12 +96,12 @@ def identify_added_moments(
             f"{len(groups)} time blocks are too few for errors, {FEWEST_BLOCKS} are needed",
             cure=Cure("record longer"),
         )
-    offsets = [k for k, each in enumerate(result.base.names) if each.startswith("Fo")]
+    offsets = [k for k, name in enumerate(result.base.names) if name.startswith("Fo")]
     chosen = [*range(p + 6, p + 10), *offsets]
     blocks = [
         _build_columns(result, rows.blocks, of, chosen, again=bool(unloaded)) for of in groups
     ]
-    total = np.asarray(sum(each.T @ each for each in blocks))
+    total = np.asarray(sum(block.T @ block for block in blocks))
     columns = Scaled(total[:-1, :-1])
     seen = columns.determined[:4]
     if not seen.any():
@@ -157,8 +157,8 @@ def _build_columns(
 
 def _jackknife_covariance(blocks: Sequence[Array], columns: Scaled) -> Array:
     """Return the covariance from leaving out one time block at a time."""
-    total = sum(each.T @ each for each in blocks)
-    rests = [total - each.T @ each for each in blocks]
+    total = sum(block.T @ block for block in blocks)
+    rests = [total - block.T @ block for block in blocks]
     found = np.array([Scaled(rest[:-1, :-1]).solve(rest[:-1, -1]) for rest in rests])
     return jackknife_covariance(found) * np.outer(columns.present, columns.present)
 

@@ -16,7 +16,6 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.cad_prior import build_cad_prior, design_values
-from asbuilt.identification.errors.delay_errors import DelayColumns, build_delay_columns
 from asbuilt.identification.estimators.consistent_fit import fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.fixed_point import FixedPoint
@@ -32,6 +31,7 @@ from asbuilt.identification.information.square_root_information import (
     reduce_rows,
 )
 from asbuilt.identification.statistics import estimate_mean_error
+from asbuilt.identification.uncertainty.delay_errors import DelayColumns, build_delay_columns
 
 Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
@@ -293,7 +293,7 @@ class _Fits:
     def columns(self, delays: Array) -> DelayColumns:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
         samples = self._shift_samples(delays)
-        bands = [each.parallel.cutoff for each in samples if each.parallel]
+        bands = [sample.parallel.cutoff for sample in samples if sample.parallel]
         self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
         rows = self._take_rows(samples)
         return build_delay_columns(

@@ -14,25 +14,18 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.scaled import Scaled
 from asbuilt.tables import format_plus_minus
 
+# Hold when what lies between two encoders is determined: own choices.
 
-@dataclass(frozen=True, slots=True)
-class EncoderRules:
-    """Hold when what lies between two encoders is determined: own choices."""
-
-    apart: float = 0.05
-    """Difference of the encoders, relative to the range of the motor, beyond which they belong to
-    different coordinates, as in a coupled wrist."""
-    blocks: int = 20
-    """Time blocks from whose jackknife errors follow."""
-    sure: float = 4.0
-    """Standard errors from which a compliance counts as determined."""
-    better: float = 0.8
-    """Share of what is left of the difference from which another form of friction is better."""
-    shown: float = 3.0
-    """Standard errors from which damping, rotor and hysteresis count as present."""
+# Difference of the encoders, relative to the range of the motor, beyond which they belong to
+# different coordinates, as in a coupled wrist
+ENCODER_APART = 0.05
+ENCODER_BLOCKS = 20  # Time blocks from whose jackknife errors follow
+ENCODER_SURE = 4.0  # Standard errors from which a compliance counts as determined
+# Share of what is left of the difference from which another form of friction is better
+ENCODER_BETTER = 0.8
+ENCODER_SHOWN = 3.0  # Standard errors from which damping, rotor and hysteresis count as present
 
 
-RULES = EncoderRules()
 PASSES = 3
 """Times that the lag is found and taken out."""
 
@@ -83,7 +76,7 @@ class EncoderPair:
     @property
     def determined(self) -> bool:
         """Whether the stiffness is."""
-        return self.compliance > RULES.sure * self.compliance_error
+        return self.compliance > ENCODER_SURE * self.compliance_error
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
@@ -95,7 +88,7 @@ class EncoderPair:
     @property
     def damping(self) -> tuple[float, float] | None:
         """Damping and its standard error [N m s/rad or N s/m]; None if it does not show."""
-        if self.stiffness is None or self.relaxation < RULES.shown * self.relaxation_error:
+        if self.stiffness is None or self.relaxation < ENCODER_SHOWN * self.relaxation_error:
             return None
         return self.relaxation * self.stiffness[0], self.relaxation_error * self.stiffness[0]
 
@@ -158,7 +151,7 @@ def identify_encoders(
     tuple of EncoderPair
         One for each joint whose two encoders measure the same coordinate.
     """
-    taken = [np.zeros_like(each.q) for each in samples] if friction is None else friction
+    taken = [np.zeros_like(sample.q) for sample in samples] if friction is None else friction
     given = [both for both in zip(samples, taken, strict=True) if both[0].encoder is not None]
     return tuple(
         _identify_joint(given, k, turns)
@@ -191,7 +184,7 @@ def _identify_joint(given: Sequence[tuple[Samples, Array]], k: int, turns: bool)
 
 def describe_encoders(pairs: Sequence[EncoderPair]) -> str:
     """Return lags and stiffness of all joints in a sentence; empty without two encoders."""
-    return f"Two encoders: {'; '.join(each.text for each in pairs)}." if pairs else ""
+    return f"Two encoders: {'; '.join(pair.text for pair in pairs)}." if pairs else ""
 
 
 def refer_to_links(
@@ -227,11 +220,11 @@ def with_friction_errors(
     """Return lag and hysteresis with what errors of friction (n,) over the stiffness add."""
     return tuple(
         replace(
-            each,
-            lag_error=float(np.hypot(each.lag_error, each.compliance * Fv)),
-            hysteresis_error=float(np.hypot(each.hysteresis_error, 2.0 * each.compliance * Fc)),
+            pair,
+            lag_error=float(np.hypot(pair.lag_error, pair.compliance * Fv)),
+            hysteresis_error=float(np.hypot(pair.hysteresis_error, 2.0 * pair.compliance * Fc)),
         )
-        for each, Fv, Fc in zip(pairs, viscous, dry, strict=True)
+        for pair, Fv, Fc in zip(pairs, viscous, dry, strict=True)
     )
 
 
@@ -241,7 +234,7 @@ def _is_pair(samples: Samples, k: int) -> bool:
     motor, link = _orient_sides(samples, k)
     wide = float(np.ptp(motor[0]))
     apart = float(np.std(motor[0] - link[0]))
-    return wide > 0.0 and apart < RULES.apart * wide
+    return wide > 0.0 and apart < ENCODER_APART * wide
 
 
 def _orient_sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Array]:
@@ -291,7 +284,7 @@ def _choose_friction_form(identified: EncoderPair, plain: EncoderPair) -> Encode
     Such does harm where the motion reverses. Lag and hysteresis, which friction is part of, remain
     those by the friction identified, with their larger errors.
     """
-    if plain.rest > RULES.better * identified.rest:
+    if plain.rest > ENCODER_BETTER * identified.rest:
         return identified
     return replace(
         plain,
@@ -312,7 +305,7 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
     """Return what the rows of a joint determine."""
     used = np.array([True, not sensor, True, True, True, True, True])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)
-    squares = [part.T @ part for part in np.array_split(rows / scale, RULES.blocks) if len(part)]
+    squares = [part.T @ part for part in np.array_split(rows / scale, ENCODER_BLOCKS) if len(part)]
     whole = np.sum(squares, axis=0)
 
     def coefficients(normal: Array) -> Array:
@@ -323,12 +316,12 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
         return np.asarray(values * scale[-1] / scale[:-1])
 
     raw = coefficients(whole)
-    parts = np.array([_derive_physical_values(coefficients(whole - each)) for each in squares])
+    parts = np.array([_derive_physical_values(coefficients(whole - square)) for square in squares])
     error = np.sqrt((len(parts) - 1) * np.mean((parts - parts.mean(axis=0)) ** 2, axis=0))
     left = rows[:, -1] - rows[:, :-1] @ raw
     lag, c, relaxation, rotor, play = _derive_physical_values(raw).tolist()
     errors = error.tolist()
-    known = not sensor and c > RULES.sure * errors[1]
+    known = not sensor and c > ENCODER_SURE * errors[1]
     return EncoderPair(
         joint=name,
         lag=lag,

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.identification.information.random_motion import draw_positions
+from asbuilt.identification.information.random_states import draw_positions
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.scaled import Scaled
 
@@ -48,9 +48,10 @@ def gravity_scales(result: IdentificationResult) -> Array:
 def derive_gain_doubt(scales: Array) -> Array:
     """Return the part of a gain's error (n,) that CAD does not explain; 0 where scales are unknown.
 
-    `|s - 1|` of the gravity torque beyond the tolerance of CAD.
+    If a logged gravity torque is s times CAD's since the gain is off, the true torque is 1 / s of
+    the one logged: `|1 / s - 1|`, beyond the tolerance of CAD.
     """
-    away = np.abs(np.nan_to_num(scales, nan=1.0) - 1.0)
+    away = np.abs(1.0 / np.nan_to_num(scales, nan=1.0) - 1.0)
     # Error of CAD's gravity torques that is usual: its masses are accurate to a fifth at best.
     return np.maximum(away - 0.2, 0.0)
 
@@ -76,7 +77,7 @@ UNCALIBRATED = 0.1
 COMMON = 1.0 / 3.0
 """Part of the variance common to all joints, which warm up together (4 of 7 %, squared)."""
 MOST = 0.5
-"""Largest valid fraction."""
+"""Largest valid fraction that is stated."""
 
 
 def relative_gain_errors(
@@ -124,7 +125,7 @@ def derive_gain_errors(
         return usual
     if source != "current" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
         usual = np.maximum(usual, UNCALIBRATED)
-    return np.minimum(np.hypot(usual, doubted), MOST)
+    return np.asarray(np.hypot(usual, doubted))
 
 
 def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:

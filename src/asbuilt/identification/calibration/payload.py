@@ -61,25 +61,19 @@ FLANGES = ("flange", "tool0", "tool", "ee", "tcp")
 """Words in the name of the frame that carries the payload, most specific first."""
 
 
-@dataclass(frozen=True, slots=True)
-class PayloadRules:
-    """Hold scales and weights of the fit of a payload."""
+# Hold scales and weights of the fit of a payload.
 
-    short_word: int = 3
-    """Words of at most so many characters must be separate: "sleeve" is no "ee"."""
-    com_scale: float = 0.04
-    """Least scale of a centre of mass [m]: with 1 cm of standard error it is determined."""
-    vague_arm: float = 0.5
-    """Distance from the flange [m] of the prior standard deviation of a payload."""
-    load_iterations: int = 4
-    """Iterations of load-dependent friction with the payload."""
-    open: float = 1e-12
-    """Singular value, relative to the largest, below which the arm's prior has no information."""
-    interior: float = 1e-6
-    """Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
+PAYLOAD_SHORT_WORD = 3  # Words of at most so many characters must be separate: "sleeve" is no "ee"
+# Least scale of a centre of mass [m]: with 1 cm of standard error it is determined
+PAYLOAD_COM_SCALE = 0.04
+PAYLOAD_VAGUE_ARM = 0.5  # Distance from the flange [m] of the prior standard deviation of a payload
+PAYLOAD_LOAD_ITERATIONS = 4  # Iterations of load-dependent friction with the payload
+# Singular value, relative to the largest, below which the arm's prior has no information
+PAYLOAD_OPEN = 1e-12
+# Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace
+PAYLOAD_INTERIOR = 1e-6
 
 
-RULES = PayloadRules()
 LARGEST_ERROR = 0.25
 """Standard error of a determined parameter, relative to its own scale or the payload's."""
 FEWEST_BLOCKS = 4
@@ -203,7 +197,7 @@ def choose_payload_frame(model: RobotModel, name: str | None = None) -> tuple[st
         for frame, (link, placement) in frames.items():
             if link == last and word in (
                 re.split(r"[^a-z0-9]+", frame.lower())
-                if len(word) <= RULES.short_word
+                if len(word) <= PAYLOAD_SHORT_WORD
                 else frame.lower()
             ):
                 return frame, link, placement
@@ -269,7 +263,7 @@ def identify_payload_samples(
     prior = _build_prior(result)
     vague = _build_vague_prior(result.model)
     x = np.concatenate([result.estimates, np.zeros(10)])
-    for _ in range(RULES.load_iterations if result.base.drive.needs_load else 1):
+    for _ in range(PAYLOAD_LOAD_ITERATIONS if result.base.drive.needs_load else 1):
         rows = PayloadRows.of(
             result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds
         )
@@ -328,9 +322,9 @@ def _place_other_frames(
     """Return the placements (4, 4) of the link's other frames in the frame of the payload."""
     back = invert_placement(placement)
     return {
-        each.name: back @ each.placement
-        for each in model.frames
-        if each.link == link and each.name != name
+        frame.name: back @ frame.placement
+        for frame in model.frames
+        if frame.link == link and frame.name != name
     }
 
 
@@ -373,7 +367,7 @@ def _build_vague_prior(model: RobotModel) -> Array:
     """
     mass = float(np.abs(model.parameters[9::10]).sum()) or 1.0
     size = np.concatenate(
-        [np.full(6, mass * RULES.vague_arm**2), np.full(3, mass * RULES.vague_arm), [mass]]
+        [np.full(6, mass * PAYLOAD_VAGUE_ARM**2), np.full(3, mass * PAYLOAD_VAGUE_ARM), [mass]]
     )
     return np.column_stack([np.diag(1.0 / size), np.zeros(10)])
 
@@ -474,8 +468,10 @@ def _check_known_arm(rows: Array, prior: Array) -> None:
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
     _, s, vt = np.linalg.svd(prior / scaled)
-    free = vt[int(np.sum(s > RULES.open * s.max(initial=0.0))) :]
-    if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(RULES.open) * np.linalg.norm(rows / scaled):
+    free = vt[int(np.sum(s > PAYLOAD_OPEN * s.max(initial=0.0))) :]
+    if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(PAYLOAD_OPEN) * np.linalg.norm(
+        rows / scaled
+    ):
         raise IdentifiabilityError(
             "the recording under load excites directions that the result of the arm does not"
             " determine, so that a frozen arm cannot predict it",
@@ -517,7 +513,7 @@ def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]
     own = Scaled(covariance).raised()
     root = own.inverse_root.T
     scale = own.size
-    floor = RULES.interior * float(np.abs(estimate[9]))
+    floor = PAYLOAD_INTERIOR * float(np.abs(estimate[9]))
     solution = solve_cone_program(
         sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale))),
         -2.0 * (root * scale).T @ (root @ estimate),
@@ -551,7 +547,7 @@ def _derive_reported_values(parameters: Array, covariance: Array) -> tuple[Array
 
 
 def _find_determined(values: Array, errors: Array) -> NDArray[np.bool_]:
-    centre = np.maximum(np.linalg.norm(values[1:4]), RULES.com_scale)
+    centre = np.maximum(np.linalg.norm(values[1:4]), PAYLOAD_COM_SCALE)
     principal = np.max(np.abs(values[[4, 7, 9]]))
     size = np.concatenate([[values[0]], np.full(3, centre), np.full(6, principal)])
     return errors <= LARGEST_ERROR * size

@@ -20,8 +20,6 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment import Recording, Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.identification.errors.block_scatter import BlockScores
-from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import (
@@ -29,28 +27,22 @@ from asbuilt.identification.information.triangular import (
     triangular_factor,
     widen_factor,
 )
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
 
+# Hold how gains are iterated, and when they are determined.
 
-@dataclass(frozen=True, slots=True)
-class GainRules:
-    """Hold how gains are iterated, and when they are determined."""
-
-    iterations: int = 60
-    """Most iterations of gains and noise."""
-    convergence: float = 1e-9
-    """Relative change of the gains at which they end."""
-    small_share: float = 0.15
-    """Share of the payload in a joint's torque below which its gain depends on other joints."""
-    largest_error: float = 0.25
-    """Standard error of a gain, as a fraction of it, above which it is undetermined."""
-    runaway: float = 1e4
-    """Gain, in units of the median joint's, beyond which nothing bounds it: no two drives of a
-    robot differ as much."""
-    rank_tolerance: float = 1e-10
-    """Singular value of scaled columns, relative to the largest, that counts as zero."""
-
-
-RULES = GainRules()
+GAIN_ITERATIONS = 60  # Most iterations of gains and noise
+GAIN_CONVERGENCE = 1e-9  # Relative change of the gains at which they end
+# Share of the payload in a joint's torque below which its gain depends on other joints
+GAIN_SMALL_SHARE = 0.15
+# Standard error of a gain, as a fraction of it, above which it is undetermined
+GAIN_LARGEST_ERROR = 0.25
+# Gain, in units of the median joint's, beyond which nothing bounds it: no two drives of a robot
+# differ as much
+GAIN_RUNAWAY = 1e4
+# Singular value of scaled columns, relative to the largest, that counts as zero
+GAIN_RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +105,7 @@ class TorqueGains:
         undetermined = self._name_joints(~self.determined)
         instead = "identify finds it" if self.of_command else "the gain in use stays"
         turned = self.determined & (self.factors < 0)
-        small = self._name_joints(self.payload_share < RULES.small_share)
+        small = self._name_joints(self.payload_share < GAIN_SMALL_SHARE)
         notes = (
             (
                 True,
@@ -138,7 +130,7 @@ class TorqueGains:
             ),
             (
                 small,
-                f"the payload is below {100 * RULES.small_share:.0f} % of the torque of {small};"
+                f"the payload is below {100 * GAIN_SMALL_SHARE:.0f} % of the torque of {small};"
                 " these gains depend on other joints and on the friction model beyond their"
                 " standard errors",
             ),
@@ -262,9 +254,9 @@ def identify_gains(
     gains = 1.0 / inverse
     payload = theta[-10:]
     open_ended = ~(scatter < np.abs(gains)) | (
-        np.abs(gains) > RULES.runaway * np.nanmedian(np.abs(gains))
+        np.abs(gains) > GAIN_RUNAWAY * np.nanmedian(np.abs(gains))
     )
-    determined = ~open_ended & (scatter < RULES.largest_error * np.abs(gains))
+    determined = ~open_ended & (scatter < GAIN_LARGEST_ERROR * np.abs(gains))
     if of_command:
         determined &= gains > 0.0
     share = problem.payload_share(gains, payload)
@@ -342,7 +334,7 @@ class _Problem:
         theta = np.concatenate([np.zeros(p), given])
         inverse = self._find_signs(rows, theta, free)
         sigma = np.ones(self._n)
-        for iteration in range(RULES.iterations):
+        for iteration in range(GAIN_ITERATIONS):
             if iteration == 0:
                 every = np.vstack([r * g for r, g in zip(rows, inverse, strict=True)])
                 target = np.concatenate([r[:, -1] for r in rows])
@@ -357,7 +349,7 @@ class _Problem:
             left = [r @ np.append(-g * theta, 1.0) for r, g in zip(rows, inverse, strict=True)]
             noise = np.array([float(np.linalg.norm(error)) for error in left])
             sigma = np.maximum(noise / np.sqrt(n_samples), 1e-12)
-            if np.all(np.abs(change) <= RULES.convergence * np.abs(inverse)):
+            if np.all(np.abs(change) <= GAIN_CONVERGENCE * np.abs(inverse)):
                 break
         if not np.all(np.isfinite(inverse)):
             raise IdentifiabilityError(
@@ -444,7 +436,7 @@ def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return L (p, r) with `L L^T = (A^T A)^+` in scaled columns, and which unknowns are lost."""
     sizes = _measure_columns(matrix)
     _, s, axes = np.linalg.svd(triangular_factor(matrix / sizes))
-    kept = s > RULES.rank_tolerance * s[0]
+    kept = s > GAIN_RANK_TOLERANCE * s[0]
     # Part of an unknown in directions without information beyond which nothing bounds it.
     lost = np.sum(axes[~kept] ** 2, axis=0) > 1e-6
     return (axes[kept] / s[kept, None]).T / sizes[:, None], lost
@@ -453,7 +445,7 @@ def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
 def _solve_least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
     sizes = _measure_columns(matrix)
-    solution = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
+    solution = np.linalg.lstsq(matrix / sizes, target, rcond=GAIN_RANK_TOLERANCE)[0]
     return np.asarray(solution / sizes, dtype=np.float64)
 
 

@@ -17,7 +17,6 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import RowBlock, divide_into_blocks
@@ -25,31 +24,20 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     reduce_rows,
 )
+from asbuilt.identification.uncertainty.uncertainty import Uncertainty, estimate_block_uncertainty
 
 LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
 MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
 
 
-@dataclass(frozen=True, slots=True)
-class ScaleRule:
-    """When the scale of a motor's torque is fitted.
+# When the scale of a motor's torque is fitted.
 
-    Parameters
-    ----------
-    sigmas
-        Standard errors by which it must differ from 1; one joint in 400 does by chance.
-    smallest
-        Difference from 1 below which it does not matter: torque constants are known to 1 % at best.
-    rounds
-        Fits of the scales, each linear about the one before; errors square from round to round.
-    """
-
-    sigmas: float = 3.0
-    smallest: float = 0.01
-    rounds: int = 3
-
-
-SCALE = ScaleRule()
+# Standard errors by which it must differ from 1; one joint in 400 does by chance
+SCALE_SIGMAS = 3.0
+# Difference from 1 below which it does not matter: torque constants are known to 1 % at best
+SCALE_SMALLEST = 0.01
+# Fits of the scales, each linear about the one before; errors square from round to round
+SCALE_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +213,7 @@ def _fit_channels(
     Such scales multiply the torque of links `beta` (p,).
     """
     both = _combine_sides(base, drives, scaled)
-    divided = [replace(each, tau=each.tau / scales) for each in motors]
+    divided = [replace(motor, tau=motor.tau / scales) for motor in motors]
     information = _join_channels(both, links, drives, sensors, divided, scaled, beta)
     estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
     return both, information, estimate, estimate_block_uncertainty(information, estimate)
@@ -288,7 +276,7 @@ def _fit_scales(
     scales = np.ones(n)
     errors = np.full(n, np.nan)
     scaled: tuple[int, ...] = tuple(range(n))
-    for _ in range(SCALE.rounds):
+    for _ in range(SCALE_ROUNDS):
         divisors = np.where(np.isin(np.arange(n), scaled), scales, 1.0)
         found = fit(divisors, scaled, found[2].beta[:first])
         change = found[2].beta[-len(scaled) :]
@@ -303,7 +291,7 @@ def _fit_scales(
 
 
 def _differs(scale: float, error: float) -> bool:
-    return abs(scale - 1.0) > max(SCALE.sigmas * error, SCALE.smallest)
+    return abs(scale - 1.0) > max(SCALE_SIGMAS * error, SCALE_SMALLEST)
 
 
 def _find_acting(model: RobotModel, motor_side: DriveSet) -> Indices:

@@ -18,11 +18,11 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.search import find_effects
-from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import group_neighbours, measure_held_out_errors
 from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 AUTO = "auto"
 
@@ -100,8 +100,8 @@ def list_drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:
     """Return the keys of the effects that are drive terms, with those over position if asked."""
     return tuple(
         key
-        for key, each in EFFECTS.items()
-        if isinstance(each, DriveEffect) and (by_construction or not each.term.by_construction)
+        for key, effect in EFFECTS.items()
+        if isinstance(effect, DriveEffect) and (by_construction or not effect.term.by_construction)
     )
 
 

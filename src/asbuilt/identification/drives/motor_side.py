@@ -38,7 +38,11 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
             " the robot file"
         )
     found = []
-    alone = {each.name: each for each in result.parameters if each.expression == each.name}
+    alone = {
+        parameter.name: parameter
+        for parameter in result.parameters
+        if parameter.expression == parameter.name
+    }
     for joint, ratio in ratios.items():
         for term in result.base.drive.at(joint).terms:
             for symbol, unit, power in zip(

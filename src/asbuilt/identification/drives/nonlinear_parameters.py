@@ -16,39 +16,27 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.information.rows import SampleBlock, divide_into_blocks
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
+
+# Hold how nonlinear parameters are searched, and when they are determined.
+
+# Filtered samples of a fit; evenly spread time blocks of longer recordings
+SEARCH_MOST_SAMPLES = 20_000
+SEARCH_GRID = 24  # Values of the first search over the range of a nonlinear parameter
+SEARCH_REFINEMENTS = 10  # Golden sections around the best value of each joint
+# Least decrease of a joint's squared error, times the number of samples, for a determined value. An
+# F of 30 for white residuals, of a few for correlated ones.
+SEARCH_LEAST_F = 30.0
+# Distance from an end of the range, as a fraction of the range, that counts as at the end
+SEARCH_AT_BOUND = 0.02
+# Share of slow moving samples of a joint below which no speed parameter is estimated
+SEARCH_SLOWEST_SHARE = 0.03
+SEARCH_CYCLES = 10  # Largest number of cycles over several nonlinear parameters
+SEARCH_SETTLED = 0.01  # Largest relative change of any nonlinear parameter in the last cycle
+SEARCH_SAME_COLUMN = 1e-8  # Relative singular value below which a column is a combination of others
 
 
-@dataclass(frozen=True, slots=True)
-class SearchRules:
-    """Hold how nonlinear parameters are searched, and when they are determined."""
-
-    most_samples: int = 20_000
-    """Filtered samples of a fit; evenly spread time blocks of longer recordings."""
-    grid: int = 24
-    """Values of the first search over the range of a nonlinear parameter."""
-    refinements: int = 10
-    """Golden sections around the best value of each joint."""
-    least_f: float = 30.0
-    """Least decrease of a joint's squared error, times the number of samples, for a determined
-    value.
-
-    An F of 30 for white residuals, of a few for correlated ones.
-    """
-    at_bound: float = 0.02
-    """Distance from an end of the range, as a fraction of the range, that counts as at the end."""
-    slowest_share: float = 0.03
-    """Share of slow moving samples of a joint below which no speed parameter is estimated."""
-    cycles: int = 10
-    """Largest number of cycles over several nonlinear parameters."""
-    settled: float = 0.01
-    """Largest relative change of any nonlinear parameter in the last cycle."""
-    same_column: float = 1e-8
-    """Relative singular value below which a column is a combination of others."""
-
-
-SEARCH = SearchRules()
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
@@ -153,7 +141,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
             cure=Cure("record longer, raise the cutoff, or state the nonlinear parameters"),
         )
     with use_one_blas_thread():
-        for _ in range(SEARCH.cycles if len(free) > 1 else 1):
+        for _ in range(SEARCH_CYCLES if len(free) > 1 else 1):
             before = {place: np.array(each.values) for place, each in found.items()}
             for key, parameter in free:
                 term = next(term for term in current.terms if term.key == key)
@@ -163,7 +151,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
             if all(
                 place in before
                 and np.all(
-                    np.abs(before[place] - each.values) <= SEARCH.settled * np.abs(each.values)
+                    np.abs(before[place] - each.values) <= SEARCH_SETTLED * np.abs(each.values)
                 )
                 for place, each in found.items()
             ):
@@ -174,7 +162,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
 def thin_blocks(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
     """Return the time blocks for fits of drive terms, evenly spread if there are many."""
     segments = list(divide_into_blocks(model, samples, np.inf))
-    step = -(-sum(each.n_outputs for each in segments) // SEARCH.most_samples)
+    step = -(-sum(segment.n_outputs for segment in segments) // SEARCH_MOST_SAMPLES)
     # Of few samples all are used, in as few calls as they have gaps.
     return segments if step <= 1 else list(divide_into_blocks(model, samples))[::step]
 
@@ -195,7 +183,12 @@ def _fit_one(
         )
 
     lowest, highest = credible_range(
-        model, parameter, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen]
+        model,
+        parameter,
+        [
+            np.abs(sample_block.samples.qd[sample_block.start : sample_block.stop])
+            for sample_block in chosen
+        ],
     )
     logarithmic = parameter.lower > 0.0
     first, last = (np.log(lowest), np.log(highest)) if logarithmic else (lowest, highest)
@@ -203,16 +196,16 @@ def _fit_one(
     def real(points: Array) -> Array:
         return np.clip(np.exp(points) if logarithmic else points, lowest, highest)
 
-    grid = np.linspace(first, last, SEARCH.grid)
+    grid = np.linspace(first, last, SEARCH_GRID)
     errors = np.array([error(real(points)) for points in grid])
     best = errors.argmin(axis=0)
     every = np.arange(model.n_joints)
-    low, high = (grid[np.clip(best + side, 0, SEARCH.grid - 1), every] for side in (-1, 1))
+    low, high = (grid[np.clip(best + side, 0, SEARCH_GRID - 1), every] for side in (-1, 1))
     a = high - GOLDEN * (high - low)
     b = low + GOLDEN * (high - low)
     at_a = error(real(a))
     at_b = error(real(b))
-    for _ in range(SEARCH.refinements):
+    for _ in range(SEARCH_REFINEMENTS):
         left = at_a < at_b
         low = np.where(left, low, a)
         high = np.where(left, b, high)
@@ -230,9 +223,9 @@ def _fit_one(
     values = np.where(least > of_grid, real(grid[best, every]), values)
     energy = np.maximum(remaining.energy, np.finfo(np.float64).tiny)
     reduction = 1.0 - np.minimum(least, of_grid) / energy
-    margin = SEARCH.at_bound * (last - first)
+    margin = SEARCH_AT_BOUND * (last - first)
     placed = np.log(values) if logarithmic else values
-    lowers = reduction > SEARCH.least_f / sum(each.n_outputs for each in chosen)
+    lowers = reduction > SEARCH_LEAST_F / sum(sample_block.n_outputs for sample_block in chosen)
     at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
     determined = lowers & ~at_bound
     within = tuple(
@@ -260,7 +253,7 @@ def credible_range(
     top = np.where(np.isfinite(limit) & (limit > 0), limit, moved.max(axis=0))
     slowest = np.array(
         [
-            np.quantile(v[v > 0.0], SEARCH.slowest_share) if np.any(v > 0.0) else parameter.lower
+            np.quantile(v[v > 0.0], SEARCH_SLOWEST_SHARE) if np.any(v > 0.0) else parameter.lower
             for v in moved.T
         ]
     )
@@ -282,7 +275,7 @@ class _Remaining:
             sizes = np.linalg.norm(columns, axis=1)
             present = sizes > 1e-12 * sizes.max(initial=0.0)
             _, s, vt = np.linalg.svd(columns[present] / sizes[present, None], full_matrices=False)
-            basis = vt[s > SEARCH.same_column * s.max(initial=0.0)]
+            basis = vt[s > SEARCH_SAME_COLUMN * s.max(initial=0.0)]
             self._bases.append(basis)
             self._torques.append(torque - basis.T @ (basis @ torque))
         self.energy = np.array([float(torque @ torque) for torque in self._torques])

@@ -13,9 +13,13 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.findings import join_names
 from asbuilt.identification.effects.gathering import EFFECTS, At, Candidate
 from asbuilt.identification.effects.selection import Selection
-from asbuilt.identification.errors.bias import OmittedBias, derive_estimate_moves, shrink_effects
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.equations import Equations
+from asbuilt.identification.uncertainty.bias import (
+    OmittedBias,
+    derive_estimate_moves,
+    shrink_effects,
+)
 from asbuilt.scaled import Scaled
 
 if TYPE_CHECKING:

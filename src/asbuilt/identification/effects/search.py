@@ -24,7 +24,6 @@ from asbuilt.identification.effects.gathering import At, Candidate, gather_equat
 from asbuilt.identification.effects.lacking import Lacking
 from asbuilt.identification.effects.selection import Selection
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
-from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.least_squares import (
@@ -38,36 +37,31 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
 from asbuilt.scaled import Scaled
 
+# Say what is searched.
 
-@dataclass(frozen=True, slots=True)
-class SearchLimits:
-    """Say what is searched."""
-
-    samples: int = 30_000
-    """Samples of long recordings that are searched, in spans of `span` seconds."""
-    span: float = 10.0
-    blocks: int = 30
-    """Time blocks of a recording, each of `shortest` to `longest` seconds."""
-    shortest: float = 1.0
-    longest: float = 5.0
-    fewest_groups: int = 3
-    """Groups of different motion below which held-out errors have no usable standard error."""
-    rounds: int = 8
-    """Passes for effects that are taken out."""
-    tried: int = 3000
-    """Samples by which factors are tried."""
-    far_off: float = 0.05
-    """Fall of the logarithm of the residual, mean over joints, from which on a factor is."""
-    hopeless: float = 0.3
-    """Rise of that logarithm with rough weights, which are within half of that, from which on no
-    factor is fitted further."""
-    almost_all: float = 99.5
-    """Percentile of the torque that counts as its largest, so that a spike does not."""
+# Samples of long recordings that are searched, in spans of `SEARCH_SPAN` seconds
+SEARCH_SAMPLES = 30_000
+SEARCH_SPAN = 10.0
+# Time blocks of a recording, each of `SEARCH_SHORTEST` to `SEARCH_LONGEST` seconds
+SEARCH_BLOCKS = 30
+SEARCH_SHORTEST = 1.0
+SEARCH_LONGEST = 5.0
+# Groups of different motion below which held-out errors have no usable standard error
+SEARCH_FEWEST_GROUPS = 3
+SEARCH_ROUNDS = 8  # Passes for effects that are taken out
+SEARCH_TRIED = 3000  # Samples by which factors are tried
+# Fall of the logarithm of the residual, mean over joints, from which on a factor is
+SEARCH_FAR_OFF = 0.05
+# Rise of that logarithm with rough weights, which are within half of that, from which on no factor
+# is fitted further
+SEARCH_HOPELESS = 0.3
+# Percentile of the torque that counts as its largest, so that a spike does not
+SEARCH_ALMOST_ALL = 99.5
 
 
-LIMITS = SearchLimits()
 LEAST_TORQUE = 1e-9
 """Torque [N m] that no drive resolves, in place of the largest of a joint without any."""
 
@@ -90,15 +84,19 @@ class Effects:
 
     def without(self, places: Collection[tuple[str, str]]) -> Effects:
         """Return these without effects of some keys at some joints."""
-        kept = [each for each in self.found if (each.effect, each.joint) not in places]
+        kept = [
+            found_effect
+            for found_effect in self.found
+            if (found_effect.effect, found_effect.joint) not in places
+        ]
         return replace(self, found=tuple(kept))
 
     def beside_plateaus(self, joints: Collection[str]) -> Effects:
         """Return these without errors of the log at joints whose torque is known to saturate."""
         kept = [
-            each
-            for each in self.found
-            if each.joint not in joints or not EFFECTS[each.effect].of_log
+            found_effect
+            for found_effect in self.found
+            if found_effect.joint not in joints or not EFFECTS[found_effect.effect].of_log
         ]
         return replace(self, found=tuple(kept))
 
@@ -141,9 +139,9 @@ def find_effects(
     UsageError
         If this robot cannot have an effect that is stated.
     """
-    wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
+    wanted = [effect for key, effect in EFFECTS.items() if keys is None or key in keys]
     own = {e.key for e in wanted if e.in_model and (applied is None or e.key in applied)}
-    searched = _thin_samples(samples, LIMITS.samples)
+    searched = _thin_samples(samples, SEARCH_SAMPLES)
     search = _Search(model, drive, searched, wanted, own, stated, kept or KeptRows())
     try:
         with use_one_blas_thread():
@@ -174,8 +172,8 @@ class _Search:
         self.impossible: set[At] = set()
         # Without masses CAD holds no bodies, so that held-out motion alone decides.
         self.held = model.has_masses
-        time = sum(each.n_samples / each.rate for each in samples)
-        self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
+        time = sum(sample.n_samples / sample.rate for sample in samples)
+        self.seconds = float(np.clip(time / SEARCH_BLOCKS, SEARCH_SHORTEST, SEARCH_LONGEST))
 
     def run(self) -> Effects:
         """Return the effects, found on robot and log without those that can be taken out."""
@@ -221,22 +219,22 @@ class _Search:
         out = [each for each in selection.taken if each not in added]
         known = {each.candidate.at: _select_acting(each, selection) for each in removed}
         unseen = {
-            each.at: max(selection.smallest_seen(each), each.effect.least)
-            for each in selection.candidates
-            if each.effect.shown
+            candidate.at: max(selection.smallest_seen(candidate), candidate.effect.least)
+            for candidate in selection.candidates
+            if candidate.effect.shown
         }
         return Effects(turned, drive, found, fitted, Lacking.of(selection, out, known), unseen)
 
     def _next_removed(self, path: Sequence[Trial], removed: Sequence[Trial]) -> Trial | None:
         """Return what is taken out next: what the model can have, or what the log shows first."""
-        done = {each.candidate.at for each in removed}
+        done = {trial.candidate.at for trial in removed}
         return next(
             (
-                each
-                for j, each in enumerate(path)
-                if each.candidate.effect.removable
-                and (each.candidate.effect.in_model or j == 0)
-                and each.candidate.at not in done
+                trial
+                for j, trial in enumerate(path)
+                if trial.candidate.effect.removable
+                and (trial.candidate.effect.in_model or j == 0)
+                and trial.candidate.at not in done
             ),
             None,
         )
@@ -263,7 +261,7 @@ class _Search:
 
         Raises `UsageError` for effects that this robot cannot have.
         """
-        own = {each.at: each for each in selection.candidates}
+        own = {candidate.at: candidate for candidate in selection.candidates}
         if missing := [EFFECTS[key].title for key in self.stated if (key, None) not in own]:
             raise UsageError(
                 f"{self.model.name} can have no {join_names(missing)}: its gravity is"
@@ -311,9 +309,9 @@ class _Search:
 
     def _find_best_start(self) -> tuple[str, float] | None:
         """Return effect and start that fit some samples best, if they do better than none."""
-        few = _thin_samples(self.samples, LIMITS.tried)
+        few = _thin_samples(self.samples, SEARCH_TRIED)
         base = find_base_parameters(self.model, self.drive)
-        bound = min(each.clock_bound for each in self.samples)
+        bound = min(sample.clock_bound for sample in self.samples)
 
         def reduced(samples: Sequence[Samples]) -> SquareRootInformation:
             return accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
@@ -339,10 +337,10 @@ class _Search:
         for each, start in starts:
             seen = reduced(each.without(self.model, few, None, np.array([start]))[1])
             # Most factors make the log much worse: that shows before the weights have converged.
-            if left(seen, ROUGH_WEIGHTS) < plain + LIMITS.hopeless:
+            if left(seen, ROUGH_WEIGHTS) < plain + SEARCH_HOPELESS:
                 tried.append((left(seen), each.key, start))
         residual, key, start = min(tried, default=(plain, "", 0.0))
-        return None if plain - residual < LIMITS.far_off else (key, start)
+        return None if plain - residual < SEARCH_FAR_OFF else (key, start)
 
     def _settle(self, removed: Sequence[Trial]) -> tuple[list[Trial], Selection]:
         """Return effects with values that leave next to nothing, and the selection about these.
@@ -352,7 +350,7 @@ class _Search:
         `_advance_values`.
         """
         nearer = list(removed)
-        for _ in range(LIMITS.rounds):
+        for _ in range(SEARCH_ROUNDS):
             own = nearer
             selection = self._begin_selection(nearer)
             nearer = [_advance_values(each, selection) for each in own]
@@ -368,9 +366,9 @@ class _Search:
         """Return the robot and its samples without effects."""
         model = self.model
         samples = list(self.samples)
-        for each in removed:
-            own = each.candidate
-            model, samples = own.effect.without(model, samples, own.joint, each.values)
+        for trial in removed:
+            own = trial.candidate
+            model, samples = own.effect.without(model, samples, own.joint, trial.values)
         return model, samples
 
     def _fit_terms(
@@ -379,25 +377,31 @@ class _Search:
         """Return drive terms with nonlinear parameters, those fitted, and what had none."""
         n = self.model.n_joints
         drive = with_terms(self.drive, taken, n)
-        if drive.is_linear or not any(each.term and each.term.nonlinear for each in taken):
+        if drive.is_linear or not any(
+            candidate.term and candidate.term.nonlinear for candidate in taken
+        ):
             return drive, (), set()
         # Nonlinear parameters are searched where there are any: the others follow linearly.
         fit = fit_nonlinear(model, drive, self.samples)
         undetermined = {
-            each.at
-            for each in taken
+            candidate.at
+            for candidate in taken
             for own in fit.nonlinear
-            if own.term == each.effect.key
-            and each.joint is not None
-            and not own.determined[each.joint]
+            if own.term == candidate.effect.key
+            and candidate.joint is not None
+            and not own.determined[candidate.joint]
         }
         # A form whose parameter is undetermined would be in the model at an arbitrary value.
-        drive = with_terms(self.drive, [each for each in taken if each.at not in undetermined], n)
+        drive = with_terms(
+            self.drive, [candidate for candidate in taken if candidate.at not in undetermined], n
+        )
         for own in fit.nonlinear:
-            term = next((each for each in drive.terms if each.key == own.term), None)
+            term = next((term for term in drive.terms if term.key == own.term), None)
             if term is not None:
                 drive = drive.with_term(term.with_nonlinear({own.parameter.name: own.values}))
-        places = tuple(each for each in fit.places if (each.term, each.joint) not in undetermined)
+        places = tuple(
+            place for place in fit.places if (place.term, place.joint) not in undetermined
+        )
         return drive, places, undetermined
 
     def _begin_selection(self, removed: Sequence[Trial]) -> Selection:
@@ -409,7 +413,7 @@ class _Search:
         fit = fit_consistent(seen, prior)
         groups = group_different_motions(seen, fit.weights)
         # Held-out errors of fewer groups have no usable standard error.
-        if len(groups) < LIMITS.fewest_groups:
+        if len(groups) < SEARCH_FEWEST_GROUPS:
             raise IdentifiabilityError(
                 f"{len(groups)} groups of motion of {model.name} are too few"
             )
@@ -424,7 +428,7 @@ class _Search:
         )
         selection = Selection(equations, candidates, robot, cad, fit.weights, groups, self.applied)
         # Columns of what is taken out stay free: they take what the linearisation left.
-        selection.taken = [selection.candidate(each.candidate.at) for each in removed]
+        selection.taken = [selection.candidate(trial.candidate.at) for trial in removed]
         selection.impossible, selection.held = self.impossible, self.held
         return selection
 
@@ -443,8 +447,9 @@ class _Search:
             torque=selection.torque_of(trial),
             errors=trial.errors,
             alternatives=tuple(
-                each.effect.key + ("" if each.joint is None else f" at {names[each.joint]}")
-                for each in trial.alternatives
+                alternative.effect.key
+                + ("" if alternative.joint is None else f" at {names[alternative.joint]}")
+                for alternative in trial.alternatives
             ),
             parts=[part for part, acting in zip(parts, acts, strict=True) if acting]
             if parts
@@ -454,7 +459,7 @@ class _Search:
 
 def _select_further(selection: Selection, removed: Sequence[Trial]) -> list[Trial]:
     """Return the effects taken after those removed, with held-out errors before and after each."""
-    selection.taken = [selection.candidate(each.candidate.at) for each in removed]
+    selection.taken = [selection.candidate(trial.candidate.at) for trial in removed]
     given = list(selection.taken)
     path = selection.run()
     added = [each.candidate for each in path]
@@ -514,23 +519,25 @@ def _describe_robot(
     model: RobotModel, base: BaseParameters, chi: Array, samples: Sequence[Samples]
 ) -> Described:
     """Return what columns of effects are made of."""
-    torque = np.vstack([np.abs(each.tau) for each in samples])
+    torque = np.vstack([np.abs(sample.tau) for sample in samples])
     return Described(
         model,
         base,
         chi,
         samples[0].torque_source,
-        tuple(each.qd for each in samples),
-        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), LEAST_TORQUE),
-        min(each.clock_bound for each in samples),
+        tuple(sample.qd for sample in samples),
+        np.maximum(np.percentile(torque, SEARCH_ALMOST_ALL, axis=0), LEAST_TORQUE),
+        min(sample.clock_bound for sample in samples),
     )
 
 
 def _thin_samples(samples: Sequence[Samples], most: int) -> list[Samples]:
     """Return spans of all recordings with at most about so many samples."""
     # Ceiling division: at most `most` samples stay.
-    every = -(-sum(each.n_samples for each in samples) // most)
+    every = -(-sum(sample.n_samples for sample in samples) // most)
     if every <= 1:
         return list(samples)
     # Whole spans, not single samples: derivatives and blocks need neighbours.
-    return [each.select((each.t - each.t[0]) // LIMITS.span % every == 0.0) for each in samples]
+    return [
+        sample.select((sample.t - sample.t[0]) // SEARCH_SPAN % every == 0.0) for sample in samples
+    ]

@@ -90,8 +90,8 @@ class Selection(Trials):
     def _find_weakest(self, path: Sequence[Trial]) -> Trial | None:
         """Return the least sure effect of the path that is not sure next to all others, or None.
 
-        In a model an effect needs two standard errors, the direction that the whole log has in each
-        half of it, and less error on left-out motion than without it.
+        In a model an effect needs two standard errors, a better explanation of each half of the
+        log, and less error on left-out motion than without it.
         """
         weak = [
             (sureness, k)
@@ -120,15 +120,10 @@ class Selection(Trials):
         return float(np.sqrt(Scaled(covariance).square(values) / len(values)))
 
     def _is_in_halves(self, candidate: Candidate) -> bool:
-        """Return whether each half of the log has an effect in the direction of the whole."""
+        """Return whether each half of the log is explained better with an effect as it is."""
         if candidate.replaces.size:
             return True
-        whole = self.values_of([candidate])[0]
-        scale = self._size[candidate.places]
-        return all(
-            float((half * scale) @ (whole * scale)) > 0.0
-            for half in self.values_in_halves(candidate)
-        )
+        return all(gain > 0.0 for gain in self.gains_in_halves(candidate))
 
     def _swap_forms(self, path: list[Trial]) -> bool:
         """Give effects of the path up for others of their kind that predict other motion better.
@@ -267,7 +262,7 @@ def _add_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Tri
     Another form at the same joint is one unless it predicts worse by as much as chooses a form.
     """
     # What is sure still is not explained by the effect taken.
-    still = {taken.candidate.at, *(each.candidate.at for each in after)}
+    still = {taken.candidate.at, *(trial.candidate.at for trial in after)}
     alike: dict[At, Candidate] = {}
     for trial in before:
         candidate = trial.candidate

@@ -289,16 +289,21 @@ class Trials:
         self._factored.clear()
         return found
 
-    def values_in_halves(self, candidate: Candidate) -> list[Array]:
-        """Return the values of a candidate next to all others in each half of the blocks."""
+    def gains_in_halves(self, candidate: Candidate) -> list[float]:
+        """Return the fall of the cost by a candidate's values on each half of the blocks.
+
+        All others are fitted to that half. Values x with score s and Schur complement S there lower
+        its cost by `2 s^T x - x^T S x`; what a half does not determine counts neither way.
+        """
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
-        blocks = np.arange(self.equations.n_blocks)
+        x = self.values_of([candidate])[0]
+        blocks = np.arange(len(self.equations.counts))
         found = []
         for half in np.array_split(blocks, 2):
             gram = self.equations.stacked(self.weights, half)
             fit = self._fit(gram, inside, candidate.places)
-            found.append(np.asarray(np.linalg.lstsq(fit.schur, fit.score, rcond=1e-9)[0]))
+            found.append(float(2.0 * fit.score @ x - x @ fit.schur @ x))
             self._factored.pop((id(gram), inside.tobytes()))
         return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, cast
 
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet, available_terms
 from asbuilt.errors import UsageError
 
 TILT = "tilt"

@@ -16,13 +16,13 @@ from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.entropic_path import TO_THE_DATA, EntropicPath
-from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_degrees, widening
 from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     scale_covariance,
 )
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.block_scatter import FEWEST_DEGREES, mean_degrees, widening
 
 FAITHFUL = 0.1
 """Distance of a fit from its draw, in standard errors, that changes no distribution; and share of

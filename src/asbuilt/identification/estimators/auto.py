@@ -27,7 +27,6 @@ from asbuilt.identification.bodies.consistency import (
     non_passive_drives,
 )
 from asbuilt.identification.bodies.entropic_path import EntropicPath
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
     STRONGEST_BELIEF,
     WEAKEST_BELIEF,
@@ -52,36 +51,33 @@ from asbuilt.identification.estimators.robust import (
 )
 from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
-from asbuilt.identification.information.random_motion import (
+from asbuilt.identification.information.random_states import (
     build_random_motion_rows,
     measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import FactorSolution, solve_factor
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
+
+# Thresholds of the automatic choice.
+
+# Share of torques beyond 4 robust standard deviations; normal noise has 0.006 %
+SELECTION_OUTLYING_SHARE = 0.07
+# Residual variance of a joint in robust variances; unmodelled friction alone reaches 12
+SELECTION_OUTLYING_VARIANCE = 30.0
+# Samples of a long recording, in evenly spread time blocks, that are searched for outliers
+SELECTION_SCREENED = 20_000
+# Groups of time blocks below which held-out errors have no usable standard error
+SELECTION_FEWEST_FOLDS = 3
+# Weights of CAD tried, times the design effect, so that samples count as often as they are
+# independent. At 1 links lie within a factor of about e of CAD.
+SELECTION_BELIEFS = (STRONGEST_BELIEF, 10.0, 10**0.5, 1.0)
+# Samples per independent sample where the blocks are too few to estimate it
+SELECTION_DESIGN_EFFECT = USUAL_DESIGN_EFFECT
+# Rise of the torque error by a consistent fit beyond what its lost degrees of freedom cost
+SELECTION_COSTLY = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class SelectionRules:
-    """Thresholds of the automatic choice."""
-
-    outlying_share: float = 0.07
-    """Share of torques beyond 4 robust standard deviations; normal noise has 0.006 %."""
-    outlying_variance: float = 30.0
-    """Residual variance of a joint in robust variances; unmodelled friction alone reaches 12."""
-    screened: int = 20_000
-    """Samples of a long recording, in evenly spread time blocks, that are searched for outliers."""
-    fewest_folds: int = 3
-    """Groups of time blocks below which held-out errors have no usable standard error."""
-    beliefs: tuple[float, ...] = (STRONGEST_BELIEF, 10.0, 10**0.5, 1.0)
-    """Weights of CAD tried, times the design effect, so that samples count as often as they are
-    independent. At 1 links lie within a factor of about e of CAD."""
-    design_effect: float = USUAL_DESIGN_EFFECT
-    """Samples per independent sample where the blocks are too few to estimate it."""
-    costly: float = 0.05
-    """Rise of the torque error by a consistent fit beyond what its lost degrees of freedom cost."""
-
-
-RULES = SelectionRules()
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
 CURE = Cure("check gains, description and what acts on the robot that the model lacks")
 
@@ -107,15 +103,16 @@ def estimate_auto(data: EstimationData) -> Estimate:
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
     do not converge are left out. Without CAD masses the candidates are `consistent` and the values
-    of step 1. Step 2 is left out if undetermined directions are refused.
+    of step 1. Step 2 is left out if undetermined directions are refused. With `data.kind`
+    a candidate of that kind is chosen.
     """
     estimate = estimate_wls(data)
     reasons = []
     if data.samples is not None:
-        sample = replace(data, every=max(1, data.information.n_samples // RULES.screened))
+        sample = replace(data, every=max(1, data.information.n_samples // SELECTION_SCREENED))
         robust = reweight(sample, HUBER, estimate, together=True)
         share, ratio = estimate_outlying_share(sample, robust)
-        if share > RULES.outlying_share or ratio > RULES.outlying_variance:
+        if share > SELECTION_OUTLYING_SHARE or ratio > SELECTION_OUTLYING_VARIANCE:
             estimate = continue_huber(data, estimate)
             reasons.append(
                 f"huber: {100 * share:.2g} % of the torques are outliers, and the residual variance"
@@ -140,18 +137,18 @@ class _Candidates:
     failed: list[str] = field(default_factory=list)
 
     def add(
-        self,
-        name: str,
-        weight: float,
-        held_out: Callable[[], Array],
-        fit: Callable[[], Estimate],
-        certain: bool = True,
+        self, estimate: Estimate, weight: float, held_out: Callable[[], Array], certain: bool = True
     ) -> None:
-        """Add a candidate, or its name to those that failed."""
+        """Add an estimate of all blocks as a candidate, or its name to those that failed."""
+        name = estimate.method
         try:
-            self.known.append(Candidate(name, weight, held_out(), certain, fit))
+            betas = held_out()
         except AsbuiltError:
             self.failed.append(name)
+            return
+        self.known.append(
+            Candidate(name, weight, betas, certain, lambda: estimate, name, estimate.beta)
+        )
 
     @property
     def note(self) -> tuple[str, ...]:
@@ -176,10 +173,10 @@ def _choose_closest_to_cad(
         return free, f"{free.method}: the consistent fit failed ({problem})", ()
     effect = design_effect(information, consistent)
     masses = data.model.has_masses
-    weights = [effect * belief for belief in RULES.beliefs] if masses else []
+    weights = [effect * belief for belief in SELECTION_BELIEFS] if masses else []
     folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
     parts = [(used.together(), held.together()) for used, held in folds]
-    if len(parts) < RULES.fewest_folds:
+    if len(parts) < SELECTION_FEWEST_FOLDS:
         return _fit_usual_weight(information, prior, free, consistent, masses)
     candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
     rates = None if data.samples is None else measure_recorded_rates(data.samples)
@@ -192,6 +189,7 @@ def _choose_closest_to_cad(
         free,
         candidates,
         masses,
+        data.kind,
         lambda: choose_candidate(
             candidates.known,
             parts,
@@ -200,6 +198,7 @@ def _choose_closest_to_cad(
             prior_information(information, prior),
             motion,
             effect * free_energy / information.n_rows,
+            data.kind,
         ),
     )
 
@@ -233,7 +232,7 @@ def design_effect(information: SquareRootInformation, estimate: Estimate) -> flo
     already decides on it, and counted twice it drew the LWR4+ too far to CAD.
     """
     if information.n_blocks < FEWEST_BLOCKS:
-        return RULES.design_effect
+        return SELECTION_DESIGN_EFFECT
     found = estimate_block_uncertainty(information, estimate)
     return max(1.0, information.n_samples / max(found.effective_samples * found.shared, 1.0))
 
@@ -286,26 +285,27 @@ def _fit_candidates(
         name = f"entropic (weight {weight:.3g})"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
         if weight in rough:
-            # The last row is the fit to all blocks, and no held-out one.
-            candidates.known.append(Candidate(name, weight, rough[weight][:-1] @ K.T, fit=fit))
+            # The last row is the fit to all blocks.
+            *folds, whole = rough[weight] @ K.T
+            candidates.known.append(
+                Candidate(name, weight, np.array(folds), fit=fit, kind="entropic", beta=whole)
+            )
         else:
             candidates.failed.append(name)
     conic = ConicProblem(prior, K, bound_generously(prior))
     candidates.add(
-        "consistent",
+        consistent,
         WEAKEST_BELIEF,
         lambda: np.array(
             [K @ conic.fit(training.stacked(of_joints)) for training in select_trainings()]
         ),
-        lambda: consistent,
     )
     candidates.add(
-        free.method,
+        free,
         0.0,
         lambda: np.array(
             [_with_drive_rows(training, of_joints, prior).x for training in select_trainings()]
         ),
-        lambda: free,
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
@@ -325,12 +325,12 @@ def _fit_supported_weights(
     links further from CAD than its tolerance does.
     """
     # The weights are beliefs times the design effect, the last belief being the weakest.
-    effect = weights[-1] / RULES.beliefs[-1]
+    effect = weights[-1] / SELECTION_BELIEFS[-1]
     rough = path.fit_descending(factors, weights)
     fitted = [weight for weight in weights if weight in rough]
     if not fitted:
         return rough, weights
-    limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), RULES.beliefs[-1])
+    limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), SELECTION_BELIEFS[-1])
     kept = [weight for weight in weights if weight <= limit]
     if len(kept) < len(weights) and limit > kept[0]:
         rough |= path.fit_descending(factors, [limit])
@@ -343,6 +343,7 @@ def _choose_converging(
     free: Estimate,
     candidates: _Candidates,
     masses: bool,
+    kind: str,
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
@@ -370,11 +371,15 @@ def _choose_converging(
         error += f", least {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", {choice.sentence(len(choice.candidates) - 1)}"
+    if kind == chosen.kind:
+        why = f"{chosen.name} predicts the motion left out better than what was chosen without it"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
     notes = (choice.note, *candidates.note, *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
+        fit = replace(fit, rivals=choice.rivals)
         return _join_notes(information, fit, free), why, notes
+    free = replace(free, rivals=choice.rivals)
     if _is_consistent(information.base, free):
         return free, why, notes
     finding = Finding(
@@ -397,7 +402,7 @@ def _fit_usual_weight(
     """Return the entropic fit of the usual weight; the time blocks are too few to hold any out."""
     why = "the time blocks are too few to hold any out"
     if masses:
-        weight = RULES.design_effect
+        weight = SELECTION_DESIGN_EFFECT
         try:
             fit = fit_toward_cad(information, prior, weight=weight, weights=consistent.weights)
         except AsbuiltError:
@@ -423,7 +428,7 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
     sigma = np.maximum(noise, quietest_noise(information))
     ratio = (information.residual_energy(fit.beta) / n / sigma**2)[information.has_torque]
     rise = float(np.sqrt(np.mean(ratio))) - 1.0
-    if rise <= RULES.costly:
+    if rise <= SELECTION_COSTLY:
         return fit
     finding = Finding(
         "consistent_fit_costly",

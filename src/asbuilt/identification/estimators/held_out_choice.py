@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.identification.bodies.entropic_path import DESCENT
-from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.estimate import Estimate, Rival
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.statistics import exceeds
@@ -104,7 +104,9 @@ class Candidate:
     """Describe an estimate: its name, and the fits without each group of blocks, (n_folds, p).
 
     `weight` is the weight of CAD in its covariance; 0: least squares. `certain` says that the
-    values agree with what is certain, such as that masses are positive. `fit` fits all blocks.
+    values agree with what is certain, such as that masses are positive. `fit` fits all blocks, and
+    `beta` (p,) is what it gives, roughly; empty: unknown. Candidates of one `kind` differ by the
+    weight alone.
     """
 
     name: str
@@ -112,6 +114,8 @@ class Candidate:
     betas: Array
     certain: bool = True
     fit: Callable[[], Estimate] | None = None
+    kind: str = ""
+    beta: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +143,17 @@ class MotionChoice:
     extrapolation: Array
     note: str
 
+    @property
+    def rivals(self) -> tuple[Rival, ...]:
+        """The candidates of least error on other motion of each kind that was not chosen."""
+        totals = self.errors.mean(axis=1) + self.extrapolation
+        best: dict[str, Candidate] = {}
+        for c in np.argsort(totals, kind="stable").tolist():
+            candidate = self.candidates[c]
+            if candidate.kind != self.candidates[self.chosen].kind and candidate.beta.size:
+                best.setdefault(candidate.kind, candidate)
+        return tuple(Rival(kind, each.beta, each.certain) for kind, each in best.items())
+
     def sentence(self, candidate: int) -> str:
         """Return the error of a candidate as text, and what is expected beyond it, if anything."""
         held = self.errors[candidate].mean()
@@ -155,6 +170,7 @@ def choose_candidate(
     prior_information: Array,
     random_motion: Array,
     extrapolation_variance: float,
+    kind: str = "",
 ) -> MotionChoice:
     """Choose the first candidate that predicts other motions as well as the best.
 
@@ -180,6 +196,8 @@ def choose_candidate(
         Rows of random motion within the joint limits (m, p), weighted.
     extrapolation_variance
         Residual variance times the design effect, in units of the weighted residual.
+    kind
+        Kind of the candidates that may be chosen; empty, or a kind of none: all.
     """
     n = information.n_joints
     errors = np.array(
@@ -217,17 +235,19 @@ def choose_candidate(
     own = _evaluate_leverage(root / np.sqrt(information.n_samples * n), whole, priors[-1])
     held_out = max(float(on_groups[-1]), np.finfo(np.float64).tiny)
     totals = errors + beyond[:, None]
-    consistent = [c for c, candidate in enumerate(candidates) if candidate.certain]
+    open_to = [c for c, candidate in enumerate(candidates) if kind in ("", candidate.kind)]
+    open_to = open_to or list(range(len(candidates)))
+    consistent = [c for c in open_to if candidates[c].certain]
     # Without consistent candidates the first one, closest to CAD, is what is compared.
-    best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))] if consistent else 0
-    # Probability by which physically inconsistent values that predict no better are chosen.
-    surely = float(stdtrit(max(len(parts) - 1, 1), 1.0 - 0.05))
-    for c in range(len(candidates)):
-        if c not in consistent and exceeds(totals[best] - totals[c], surely):
+    best = open_to[0]
+    if consistent:
+        best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))]
+    for c in open_to:
+        if c not in consistent and exceeds(totals[best] - totals[c], surely_better(len(parts))):
             best = c
     chosen = next(
         c
-        for c in range(len(candidates))
+        for c in open_to
         if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
         # In order from CAD: the first as good as the best ends the search.
     )
@@ -243,6 +263,14 @@ def choose_candidate(
         f" {float(on_random[-1]) / held_out:.2g} times as much again in random motion within the"
         " joint limits",
     )
+
+
+def surely_better(n: int) -> float:
+    """Return how many standard errors of n paired differences inconsistent values need.
+
+    Student's quantile of 5 %: of few differences one standard error is little.
+    """
+    return float(stdtrit(max(n - 1, 1), 1.0 - 0.05))
 
 
 def _project_determined(rows: Array, root: Array) -> Array:

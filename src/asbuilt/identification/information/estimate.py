@@ -28,6 +28,25 @@ SMALLEST_NOISE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """Hold what another kind of fit gives, from among which an estimate was chosen.
+
+    Parameters
+    ----------
+    kind
+        Its kind, which `EstimationData.kind` asks for.
+    beta
+        Its base parameters (p,), to a small part of their standard errors.
+    consistent
+        Whether they agree with what is certain, such as that masses are positive.
+    """
+
+    kind: str
+    beta: Array
+    consistent: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """Hold an estimate of p base parameters from n joints.
 
@@ -60,6 +79,8 @@ class Estimate:
     refit
         Gives beta for the triangular factor of other rows with equal weights, all choices fixed;
         None if beta is linear in the torque.
+    rivals
+        Fits of other kinds that were not chosen, if the estimator chooses among some.
     """
 
     method: str
@@ -77,6 +98,7 @@ class Estimate:
     findings: tuple[Finding, ...] = ()
     dropped: Mask | None = None
     refit: Refit | None = None
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def rank(self) -> int:
@@ -177,6 +199,8 @@ class EstimationData:
         is taken from the torque of the rows; empty: none.
     kept
         Rows that are kept for others who ask for the same ones.
+    kind
+        Kind of fit that an estimator which chooses among several takes; empty: its own choice.
     """
 
     model: RobotModel
@@ -189,6 +213,7 @@ class EstimationData:
     loading: RobotModel | None = None
     less: tuple[Array, ...] = ()
     kept: KeptRows | None = None
+    kind: str = ""
 
     @property
     def base(self) -> BaseParameters:

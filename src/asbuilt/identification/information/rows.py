@@ -59,7 +59,7 @@ class FurtherColumns:
         """Add the inner products of the next time block."""
         if not self.products:
             # Sizes are known from the first block on.
-            self.products = [np.zeros_like(each) for each in products]
+            self.products = [np.zeros_like(product) for product in products]
         self.products = [a + b for a, b in zip(self.products, products, strict=True)]
 
 
@@ -258,7 +258,7 @@ class SampleBlock:
             for first in range(self.first, self.last, at_once):
                 last = min(first + at_once, self.last)
                 span = slice(self.start + first * step, self.start + (last - 1) * step + width)
-                parts = tuple(each[:, first:last] for each in rows)
+                parts = tuple(row[:, first:last] for row in rows)
                 yield self._insert(parts, further(span), span) if further else parts
             return
         buffer = plan.buffer((at_once - 1) * step + width)

@@ -356,9 +356,9 @@ def _reduce_block(
             # Products with the further columns, which stand before the torque in a chunk.
             products[k][:] += rows @ rows[-1 - m : -1].T
             growing[k].append(np.concatenate([rows[: -1 - m], rows[-1:]]) if m else rows)
-    for each in products:
+    for product in products:
         # Torque before further columns, the order that the products are read in.
-        each[:] = np.concatenate([each[: -1 - m], each[-1:], each[-1 - m : -1]])
+        product[:] = np.concatenate([product[: -1 - m], product[-1:], product[-1 - m : -1]])
     return _Reduced(tuple(each.factor() for each in growing), torque_sum, part.time, products)
 
 

@@ -152,10 +152,10 @@ class Determination:
             if names
         ]
         found += [
-            f"Correlated: {each.text} hardly changes the torque of this recording. The error of"
-            f" {each.names[0]} is {round_significant(each.spread, 2)} times its error with the"
-            " others known."
-            for each in self.combinations
+            f"Correlated: {combination.text} hardly changes the torque of this recording. The error"
+            f" of {combination.names[0]} is {round_significant(combination.spread, 2)} times its"
+            " error with the others known."
+            for combination in self.combinations
         ]
         found += [
             f"{LIMITS.seconds:g} s more of {tip.motion} would reduce the errors of"
@@ -212,14 +212,15 @@ def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
     size = np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
     dropped = result.dropped
     error = result.std_errors
-    determined = np.array([each.determined for each in result.parameters]) & ~dropped
+    determined = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
     well = determined & (error <= LIMITS.well * size)
     hardly = determined & (error > LIMITS.poor * size)
     return {
         "well": well,
         "fairly": determined & ~well & ~hardly,
         "hardly": hardly,
-        "negligible": hardly & ~np.array([each.poorly_determined for each in result.parameters]),
+        "negligible": hardly
+        & ~np.array([parameter.poorly_determined for parameter in result.parameters]),
         "not_at_all": ~determined & ~dropped,
         "dropped": dropped,
     }
@@ -238,9 +239,9 @@ def report_springs(result: IdentificationResult) -> tuple[Finding, ...]:
     }
     masses = np.flatnonzero((base.columns < 10 * result.model.n_links) & (result.std_errors > 0))
     found = [
-        (each.name, join_names([base.names[j] for j in instead]))
-        for k, each in enumerate(result.parameters)
-        if each.name in springs and each.std_error > LIMITS.well * abs(each.estimate)
+        (parameter.name, join_names([base.names[j] for j in instead]))
+        for k, parameter in enumerate(result.parameters)
+        if parameter.name in springs and parameter.std_error > LIMITS.well * abs(parameter.estimate)
         if (instead := _find_replacements(result, k, masses)).size
     ]
     return tuple(
@@ -328,8 +329,8 @@ def error_ratios(
     before, ceiling = _predict_errors(information, weak)
     return np.array(
         [
-            _predict_errors(information + independent * each, weak, ceiling)[0] / before
-            for each in extras
+            _predict_errors(information + independent * extra, weak, ceiling)[0] / before
+            for extra in extras
         ]
     )
 

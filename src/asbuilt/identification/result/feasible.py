@@ -285,28 +285,28 @@ def bound_effects(
     Their size is the chosen one.
     """
     found = []
-    for each in effects:
-        own = _name_quantity(result, each)
+    for effect in effects:
+        own = _name_quantity(result, effect)
         interval = None if own is None else feasible_interval(result, own[0])
         if own is None or interval is None or interval.determined:
-            found.append(each)
+            found.append(effect)
             continue
         least = interval.least - own[1]
         greatest = interval.greatest - own[1]
-        if each.effect == "payload":
+        if effect.effect == "payload":
             least = max(least, 0.0)  # what is added has a mass
-        chosen = each.estimate if each.effect in BODIES else interval.chosen or 0.0
-        before = f"{format_plus_minus(each.estimate, each.std_error)} {each.unit}"
-        size = f"{format_range(least, greatest, each.unit)}, chosen {round_significant(chosen)}"
-        end = f": {each.improvement}"
+        chosen = effect.estimate if effect.effect in BODIES else interval.chosen or 0.0
+        before = f"{format_plus_minus(effect.estimate, effect.std_error)} {effect.unit}"
+        size = f"{format_range(least, greatest, effect.unit)}, chosen {round_significant(chosen)}"
+        end = f": {effect.improvement}"
         found.append(
             replace(
-                each,
+                effect,
                 estimate=chosen,
                 std_error=None,
                 feasible=(least, greatest),
                 confounded_with=interval.confounded_with or interval.without_effect,
-                text=each.text.replace(before, size).replace(end, f", {interval.why}{end}"),
+                text=effect.text.replace(before, size).replace(end, f", {interval.why}{end}"),
             )
         )
     return tuple(found)
@@ -320,7 +320,7 @@ def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[s
         if effect.joint is not None:
             link = result.base.link_joints.index(model.joint_names.index(effect.joint))
         return f"mass:{model.link_names[link]}", float(model.links[link].inertia.mass)
-    term = next((each for each in result.base.drive.terms if each.key == effect.effect), None)
+    term = next((term for term in result.base.drive.terms if term.key == effect.effect), None)
     if not effect.in_model or effect.joint is None or term is None:
         return None
     symbol = term.symbols[0]
@@ -452,7 +452,7 @@ def _of_link(result: IdentificationResult, kind: str, places: str) -> tuple[_Qua
         axes = CENTRES if kind == "com" else (kind,)
         mass = _sum_of_links(result, "", "m", names).value
         moments = [_sum_of_links(result, f"{axis}:{places}", f"m{axis[1]}", names) for axis in axes]
-        return tuple(_Quantity(each.name, "m", each.value, mass) for each in moments)
+        return tuple(_Quantity(moment.name, "m", moment.value, mass) for moment in moments)
     return (_sum_of_links(result, f"{kind}:{places}", kind, names),)
 
 

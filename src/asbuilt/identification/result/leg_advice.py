@@ -68,27 +68,27 @@ def leg_advice(
     motions = list(leg_motions(result.model, standing_posture(samples)))
     noise = samples[0].noise
     extras = (
-        each.share
+        motion.share
         * sample_information(
             result,
-            each.q,
-            each.qd,
-            each.qdd,
-            each.closed.astype(np.float64) if (samples[0].contact is not None) else None,
+            motion.q,
+            motion.qd,
+            motion.qdd,
+            motion.closed.astype(np.float64) if (samples[0].contact is not None) else None,
             noise,
         )
-        for each in motions
+        for motion in motions
     )
     table = error_ratios(result, known_information(result), weak, extras)
     return best_motions(
-        result, weak, table, [each.name for each in motions], [slice(None)] * MOTIONS, NEARLY
+        result, weak, table, [motion.name for motion in motions], [slice(None)] * MOTIONS, NEARLY
     ), weak.size
 
 
 def standing_posture(samples: Sequence[Samples]) -> Array:
     """Return the median position (n,) of samples where most contacts are closed."""
-    q = np.concatenate([each.q for each in samples])
-    touched = [each.contact for each in samples if each.contact is not None]
+    q = np.concatenate([sample.q for sample in samples])
+    touched = [sample.contact for sample in samples if sample.contact is not None]
     if len(touched) < len(samples):
         return np.asarray(np.median(q, axis=0))
     closed = np.concatenate([np.sum(each > 0.0, axis=1) for each in touched])

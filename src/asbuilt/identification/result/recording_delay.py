@@ -38,7 +38,7 @@ class RecordingDelay:
     @property
     def delays(self) -> tuple[float, ...]:
         """What was applied [s], one number or one per joint; empty for none."""
-        applied = tuple(each.applied for each in self.joints) or (self.applied,)
+        applied = tuple(joint.applied for joint in self.joints) or (self.applied,)
         return applied if any(applied) else ()
 
     @property
@@ -46,7 +46,7 @@ class RecordingDelay:
         """Standard errors of what was estimated and applied [s]; empty for none."""
         if not self.delays or np.isnan(self.estimate):
             return ()
-        return tuple(each.std_error for each in self.joints) or (self.std_error,)
+        return tuple(joint.std_error for joint in self.joints) or (self.std_error,)
 
     @property
     def text(self) -> str:

@@ -28,8 +28,6 @@ from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.effect import FoundEffect
-from asbuilt.identification.errors.block_scatter import BlockScatter, ErrorBasis
-from asbuilt.identification.errors.uncertainty import FreeValues
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.stored_document import (
@@ -46,6 +44,8 @@ from asbuilt.identification.result.torque_prediction import (
 )
 from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.identification.statistics import USUAL_ALPHA, confidence_intervals
+from asbuilt.identification.uncertainty.block_scatter import BlockScatter, ErrorBasis
+from asbuilt.identification.uncertainty.uncertainty import FreeValues
 from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
@@ -362,7 +362,7 @@ class IdentificationResult:
         import polars as pl  # noqa: PLC0415 - slow
 
         lower, upper = self.conf_int(alpha).T
-        return pl.DataFrame([asdict(each) for each in self.parameters]).with_columns(
+        return pl.DataFrame([asdict(parameter) for parameter in self.parameters]).with_columns(
             t_value=self.tvalues, lower=lower, upper=upper
         )
 
@@ -495,7 +495,7 @@ class IdentificationResult:
         """
         drive = self.base.drive
         rest = np.zeros(np.shape(qd))
-        if q is None and (drive.needs_load or any(each.by_position for each in drive.terms)):
+        if q is None and (drive.needs_load or any(term.by_position for term in drive.terms)):
             raise UsageError(f"the drive terms {drive} depend on load or position; give q too")
         return self.torque_model.friction(rest if q is None else q, qd, rest)
 
@@ -559,7 +559,7 @@ class IdentificationResult:
             *("covariance", "textbook_covariance", "singular_values", "cause_data"),
             *("free", "scatter", "trained", "bias"),
         )
-        document = self._document() | {"encoders": [each.as_dict() for each in self.encoders]}
+        document = self._document() | {"encoders": [encoder.as_dict() for encoder in self.encoders]}
         return {name: value for name, value in document.items() if name not in left_out}
 
     def _document(self) -> dict[str, Any]:
@@ -575,7 +575,9 @@ class IdentificationResult:
             "n_standard": self.n_standard,
             "n_base": self.n_base,
             "joints": list(self.joint_names),
-            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
+            "warnings": [
+                {"code": finding.code, "message": finding.text} for finding in self.findings
+            ],
             **own,
         }
 

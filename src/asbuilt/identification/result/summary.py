@@ -116,8 +116,8 @@ class Summary:
     def effects(self) -> tuple[tuple[str, str], ...]:
         """Where each effect is, in the model or not, with its sentence."""
         return tuple(
-            ("in the model" if each.in_model else "not in model", each.text)
-            for each in self.found_effects
+            ("in the model" if effect.in_model else "not in model", effect.text)
+            for effect in self.found_effects
         )
 
     def as_html(self) -> str:
@@ -128,7 +128,7 @@ class Summary:
         )
         findings, notes = (
             "".join(f"<li>{html.escape(text)}</li>" for text in texts)
-            for texts in ((each.text for each in self.findings), self.notes)
+            for texts in ((finding.text for finding in self.findings), self.notes)
         )
         verdict = f'<p class="verdict"><strong>{html.escape(self.verdict)}</strong></p>\n'
         return (
@@ -141,7 +141,7 @@ class Summary:
     def with_mass(self, total: FeasibleInterval, links: Sequence[FeasibleInterval] = ()) -> Summary:
         """Return the summary with masses: of all links together, and of each of `links`."""
         of_links = "; ".join(
-            f"{each.quantity.partition(':')[2]} {_format_mass(each)}" for each in links
+            f"{link.quantity.partition(':')[2]} {_format_mass(link)}" for link in links
         )
         more = (("each link [kg]", of_links),) if len(links) > 1 else ()
         whole = ("mass of links", _format_mass(total, " kg"))
@@ -204,7 +204,8 @@ def format_ranked_findings(
 ) -> list[str]:
     """Return ranked findings, whole, as lines of 80 columns."""
     return [
-        wrap_text(each.advised(cure_text), f"{each.severity.upper():<7}  ") for each in findings
+        wrap_text(finding.advised(cure_text), f"{finding.severity.upper():<7}  ")
+        for finding in findings
     ]
 
 
@@ -331,7 +332,7 @@ def _build_joint_table(result: IdentificationResult) -> Table:
         (
             name,
             *([kinds[k]] if mixed else []),
-            *(each.rms[k] for each in errors.values()),
+            *(error.rms[k] for error in errors.values()),
             100.0 * shown.relative_error_per_joint[k],
             result.train.r_squared[k],
         )

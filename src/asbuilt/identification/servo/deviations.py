@@ -32,69 +32,35 @@ from asbuilt.identification.servo.servo_rows import (
     reduce_servo_recordings,
 )
 
+# Say how a deadband is searched, and when it counts as found: own choices.
 
-@dataclass(frozen=True, slots=True)
-class DeadbandRules:
-    """Say how a deadband is searched, and when it counts as found: own choices.
-
-    Parameters
-    ----------
-    smallest, largest, ratio
-        Range of the width, in units of the root mean square of the control error of a typical
-        joint, and ratio of neighbouring widths that are tried.
-    sigmas
-        Standard errors by which the cost of all joints must fall.
-    worse
-        Standard errors by which the cost of no joint may rise.
-    determined
-        Largest relative standard error of the width.
-    accuracy
-        Relative error by the filters, in addition to noise: virtual arms differ by up to 0.6 %.
-    half
-        Blocks together that are fitted or validated.
-    """
-
-    smallest: float = 0.02
-    largest: float = 0.7
-    ratio: float = 2.0
-    sigmas: float = 3.0
-    worse: float = 2.0
-    determined: float = 0.2
-    accuracy: float = 0.01
-    half: int = 5
+# DEADBAND_SMALLEST, DEADBAND_LARGEST, DEADBAND_RATIO: range of the width, in units of the root mean
+# square of the control error of a typical joint, and ratio of neighbouring widths that are tried
+DEADBAND_SMALLEST = 0.02
+DEADBAND_LARGEST = 0.7
+DEADBAND_RATIO = 2.0
+DEADBAND_SIGMAS = 3.0  # Standard errors by which the cost of all joints must fall
+DEADBAND_WORSE = 2.0  # Standard errors by which the cost of no joint may rise
+DEADBAND_DETERMINED = 0.2  # Largest relative standard error of the width
+# Relative error by the filters, in addition to noise: virtual arms differ by up to 0.6 %
+DEADBAND_ACCURACY = 0.01
+DEADBAND_HALF = 5  # Blocks together that are fitted or validated
 
 
-@dataclass(frozen=True, slots=True)
-class GoalRules:
-    """Say how a limit is searched, and when it counts as found: own choices.
+# Say how a limit is searched, and when it counts as found: own choices.
 
-    Parameters
-    ----------
-    slowest, fastest
-        Range of the limit, in units of the largest acceleration that joints reached; a joint that
-        resonates reaches more than its goal.
-    ratio
-        Ratio of neighbouring limits that are tried.
-    visible
-        Largest change of the goal beyond a delay, in units of the control error, below which a
-        limit is not distinguishable from none.
-    significance
-        Smallest likelihood ratio statistic, residuals taken as one per cluster of blocks: three
-        standard errors.
-    determined
-        Largest relative standard error.
-    """
-
-    slowest: float = 0.15
-    fastest: float = 8.0
-    ratio: float = 1.5
-    visible: float = 0.15
-    significance: float = 9.0
-    determined: float = 0.2
-
-
-DEADBAND = DeadbandRules()
-GOAL = GoalRules()
+# GOAL_SLOWEST, GOAL_FASTEST: range of the limit, in units of the largest acceleration that joints
+# reached; a joint that resonates reaches more than its goal
+GOAL_SLOWEST = 0.15
+GOAL_FASTEST = 8.0
+GOAL_RATIO = 1.5  # Ratio of neighbouring limits that are tried
+# Largest change of the goal beyond a delay, in units of the control error, below which a limit is
+# not distinguishable from none
+GOAL_VISIBLE = 0.15
+# Smallest likelihood ratio statistic, residuals taken as one per cluster of blocks: three standard
+# errors
+GOAL_SIGNIFICANCE = 9.0
+GOAL_DETERMINED = 0.2  # Largest relative standard error
 
 
 def fill_unknown(servo: PositionServo, **values: float) -> PositionServo:
@@ -156,24 +122,24 @@ def estimate_deadband(
     # Tested before the refinement, which costs as much as the search, and after it again.
     if best == 0.0 or not _is_better_at_joints(costs(0.0) - costs(best), plain):
         return 0.0, 0.0
-    width = refine_minimum(costs, best, DEADBAND.ratio, 2e-3)
+    width = refine_minimum(costs, best, DEADBAND_RATIO, 2e-3)
     error = logarithmic_error(costs, width, plain)
-    sure = error < DEADBAND.determined and _is_better_at_joints(costs(0.0) - costs(width), plain)
-    return (width, width * float(np.hypot(error, DEADBAND.accuracy))) if sure else (0.0, 0.0)
+    sure = error < DEADBAND_DETERMINED and _is_better_at_joints(costs(0.0) - costs(width), plain)
+    return (width, width * float(np.hypot(error, DEADBAND_ACCURACY))) if sure else (0.0, 0.0)
 
 
 def _list_widths(plain: Equations, joints: Indices) -> Iterator[float]:
     """Yield the widths to try, smallest first."""
     sizes = [np.sqrt(plain.of_joints[k][-1, -1] / max(plain.counts[k].sum(), 1)) for k in joints]
-    width = DEADBAND.smallest * float(np.median(sizes))
-    while width < DEADBAND.largest * float(np.median(sizes)):
+    width = DEADBAND_SMALLEST * float(np.median(sizes))
+    while width < DEADBAND_LARGEST * float(np.median(sizes)):
         yield width
-        width *= DEADBAND.ratio
+        width *= DEADBAND_RATIO
 
 
 def _validate_halves(rows: Equations, plain: Equations, joints: Indices, usual: Array) -> Array:
     """Return the cost of each joint and block (n joints, B), fitted to the other half."""
-    second = (np.arange(rows.n_blocks) // DEADBAND.half) % 2 == 1
+    second = (np.arange(rows.n_blocks) // DEADBAND_HALF) % 2 == 1
     costs = np.zeros((joints.size, rows.n_blocks))
     for row, k in enumerate(joints.tolist()):
         shrunk = max(rows.of_joints[k][-1, -1] / plain.of_joints[k][-1, -1], 1e-300)
@@ -188,8 +154,8 @@ def _validate_halves(rows: Equations, plain: Equations, joints: Indices, usual: 
 def _is_better_at_joints(fall: Array, rows: Equations) -> bool:
     """Whether costs (n joints, B) fall significantly in all, and rise at no joint."""
     sigmas = np.array([_count_sigmas(sum_clusters(joint_fall, rows)) for joint_fall in fall])
-    return _count_sigmas(sum_clusters(fall.sum(axis=0), rows)) > DEADBAND.sigmas and bool(
-        np.all(sigmas > -DEADBAND.worse)
+    return _count_sigmas(sum_clusters(fall.sum(axis=0), rows)) > DEADBAND_SIGMAS and bool(
+        np.all(sigmas > -DEADBAND_WORSE)
     )
 
 
@@ -274,9 +240,9 @@ def find_goal_limit(
     best = min(sums, key=sums.__getitem__)
     if not _is_significant(without - costs(best), plain, joints):
         return None
-    limit = refine_minimum(costs, best, GOAL.ratio, 5e-3)
+    limit = refine_minimum(costs, best, GOAL_RATIO, 5e-3)
     error = logarithmic_error(costs, limit, plain)
-    if not error < GOAL.determined:
+    if not error < GOAL_DETERMINED:
         return None
     return GoalLimit(limit, limit * error, _find_acting_blocks(without - costs(limit), plain))
 
@@ -294,8 +260,8 @@ def _list_visible_limits(
     plain = replace(recording, servo=fill_unknown(servo, goal_acceleration=np.inf))
     held = hold_command(plain)
     rate = hold_command(plain, derivative=1)
-    count = 1 + round(np.log(GOAL.fastest / GOAL.slowest) / np.log(GOAL.ratio))
-    for limit in (GOAL.slowest * largest * GOAL.ratio ** np.arange(count)[::-1]).tolist():
+    count = 1 + round(np.log(GOAL_FASTEST / GOAL_SLOWEST) / np.log(GOAL_RATIO))
+    for limit in (GOAL_SLOWEST * largest * GOAL_RATIO ** np.arange(count)[::-1]).tolist():
         limited = fill_unknown(servo, goal_acceleration=limit)
         if _is_visible(replace(plain, servo=limited), held, rate, joints):
             yield limit
@@ -315,7 +281,7 @@ def _is_visible(recording: Recording, held: Array, rate: Array, joints: Indices)
     late = np.sum(moved * rate, axis=0) / np.maximum(np.sum(rate**2, axis=0), 1e-300)
     size = np.max(np.abs(moved - late * rate), axis=0)
     # The median of the error holds a load; only what varies compares with the goal's change.
-    return bool(np.any(size > GOAL.visible * np.max(np.abs(error - np.median(error, 0)), axis=0)))
+    return bool(np.any(size > GOAL_VISIBLE * np.max(np.abs(error - np.median(error, 0)), axis=0)))
 
 
 def _find_acting_blocks(fall: Array, rows: Equations) -> tuple[TimeBlock, ...]:
@@ -331,7 +297,7 @@ def _is_significant(fall: Array, rows: Equations, joints: Indices) -> bool:
     share = (
         sum_clusters(fall, rows).size * joints.size / max(float(np.sum(rows.counts[joints])), 1.0)
     )
-    return float(np.sum(fall)) * min(share, 1.0) > GOAL.significance
+    return float(np.sum(fall)) * min(share, 1.0) > GOAL_SIGNIFICANCE
 
 
 def _evaluate_costs(rows: Equations, joints: Indices, usual: Array) -> Array:

@@ -17,7 +17,6 @@ from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.errors.pose_noise import ExpectedScores, with_equation_noise
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.deviations import (
@@ -40,6 +39,7 @@ from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
     reduce_servo_recordings,
 )
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, with_equation_noise
 
 UNEXPLAINED = 3.0
 """Residual of a second, in residuals of the median second, from which the model lacks its cause:
@@ -223,20 +223,16 @@ def estimate_servo(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class ServoIterations:
-    """Say when the delay has settled: at most so many steps, each below `convergence` [s].
+# Say when the delay has settled: at most so many steps, each below `SERVO_CONVERGENCE` [s].
+#
+# The recordings are replayed so many times, each with the servo that followed from the last.
 
-    The recordings are replayed so many times, each with the servo that followed from the last.
-    """
-
-    most: int = 12
-    replays: int = 2
-    convergence: float = 2e-5
-    longest: float = 0.2
+SERVO_MOST = 12
+SERVO_REPLAYS = 2
+SERVO_CONVERGENCE = 2e-5
+SERVO_LONGEST = 0.2
 
 
-ITERATIONS = ServoIterations()
 USUAL_SLOPES = (0.3, 3.0)
 """Range of the slope by which steps fall per delay, 1 if they lead to the best one at once."""
 
@@ -288,7 +284,7 @@ def _settle_servo(
     replayed = None
     at = _alternate(design, motions, recordings, servo, late, None, free_delay, shared)
     # Replays before the last only move the start: one pair of noise is enough for them.
-    for last in (False,) * (ITERATIONS.replays - 1) + (True,):
+    for last in (False,) * (SERVO_REPLAYS - 1) + (True,):
         # Smallest eigenvalue of the inertia of a link that is replayed, in CAD's: own choice.
         links = design.made_consistent(at.found.parameters, 0.1)
         replayed = replay(
@@ -326,7 +322,7 @@ def _alternate(
     kd = np.nan_to_num(np.array(servo.kd)).tolist()
     error = 0.0
     before: tuple[float, float] | None = None
-    for _ in range(ITERATIONS.most):
+    for _ in range(SERVO_MOST):
         rows = reduce_servo_recordings(motions, recordings, late)
         kp = np.array(servo.kp)
         scale = None
@@ -349,9 +345,9 @@ def _alternate(
         step = _take_secant_step(late, found.step, before)
         error = found.std_error
         before = late, found.step
-        late = float(np.clip(late + step, -ITERATIONS.longest, ITERATIONS.longest))
+        late = float(np.clip(late + step, -SERVO_LONGEST, SERVO_LONGEST))
         # Closer than a twentieth of its own error no delay is known.
-        if abs(step) < max(ITERATIONS.convergence, 0.05 * error):
+        if abs(step) < max(SERVO_CONVERGENCE, 0.05 * error):
             break
     settled = replace(servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
     return _Settled(settled, error, rows, scale, found, tuple(gains[0]))

@@ -18,40 +18,27 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.terms.friction import Offset
 from asbuilt.identification.bodies.cad_prior import CadPrior
-from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.pose_noise import DOUBT
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.servo.block_fits import block_variances, block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors
+from asbuilt.identification.uncertainty.pose_noise import DOUBT
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 from asbuilt.scaled import Scaled
 
 Scale = Literal["gravity", "inertia"]
 
 
-@dataclass(frozen=True, slots=True)
-class ScaleRules:
-    """Say when a stiffness is determined, and how well CAD masses are trusted.
+# Say when a stiffness is determined, and how well CAD masses are trusted.
 
-    Parameters
-    ----------
-    cad
-        Standard deviation of the scale of CAD torques, as a fraction: own choice for parts of known
-        material and weighed motors.
-    determined
-        Relative standard error of a stiffness beyond which a recording does not determine it.
-    passes
-        Passes of the robust weights of time blocks.
-    """
-
-    cad: float = 0.1
-    determined: float = 0.3
-    passes: int = 20
-
-
-SCALE = ScaleRules()
+# Standard deviation of the scale of CAD torques, as a fraction: own choice for parts of known
+# material and weighed motors
+SCALE_CAD = 0.1
+# Relative standard error of a stiffness beyond which a recording does not determine it
+SCALE_DETERMINED = 0.3
+SCALE_PASSES = 20  # Passes of the robust weights of time blocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +88,7 @@ def find_scale(
     for k in np.flatnonzero(unknown).tolist():
         c[k], V[k], source[k] = _estimate_own_scale(rows, base, design, kd[k], k)
     good = unknown & (c > 0) & np.isfinite(V)
-    determined = good & (np.sqrt(V) < SCALE.determined * np.where(good, c, 1.0))
+    determined = good & (np.sqrt(V) < SCALE_DETERMINED * np.where(good, c, 1.0))
     pooled = shared or not np.all(determined[unknown])
     if pooled and np.any(good):
         weight = np.where(good, 1.0 / V, 0.0)
@@ -113,7 +100,7 @@ def find_scale(
         kp = np.where(c > 0, 1.0 / c, np.nan)
         relative = np.where(c > 0, np.sqrt(V) / c, np.inf)
     # The scale of CAD is an error that all joints share, whatever the recording says.
-    errors = kp * np.sqrt(relative**2 + SCALE.cad**2)
+    errors = kp * np.sqrt(relative**2 + SCALE_CAD**2)
     return ServoScale(kp, errors, pooled, tuple(source))  # type: ignore[arg-type]
 
 
@@ -136,7 +123,7 @@ def _estimate_own_scale(
     # A joint has no columns of the drives of others.
     T = T[:, [0, *(1 + np.flatnonzero(np.any(drives != 0.0, axis=0)))]]
     weight = np.ones(rows.n_blocks)
-    for _ in range(SCALE.passes):
+    for _ in range(SCALE_PASSES):
         gram = rows.of_joint(k, weight)
         normal = T.T @ gram @ T
         x = Scaled(normal).solve(T.T @ gram[:, -1])
@@ -226,26 +213,12 @@ def estimate_servo_delay_errors(
     return DelayErrors(np.outer(follows, follows) * std_error**2, -follows * delay)
 
 
-@dataclass(frozen=True, slots=True)
-class DelayRules:
-    """Settings of the fit.
+# Settings of the fit.
 
-    Parameters
-    ----------
-    links
-        Weight of CAD per link, in samples: the strongest of the automatic choice.
-    drives
-        Standard deviation of drive parameters before the data [SI units], practically free.
-    passes
-        Passes of the weights of joints and blocks.
-    """
-
-    links: float = 25.0
-    drives: float = 1e3
-    passes: int = 8
-
-
-DELAY = DelayRules()
+DELAY_LINKS = 25.0  # Weight of CAD per link, in samples: the strongest of the automatic choice
+# Standard deviation of drive parameters before the data [SI units], practically free
+DELAY_DRIVES = 1e3
+DELAY_PASSES = 8  # Passes of the weights of joints and blocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,9 +254,9 @@ def fit_delay(
     """
     n = rows.n_joints
     p = base.n_standard
-    prior = np.eye(p + 1) / DELAY.drives**2
+    prior = np.eye(p + 1) / DELAY_DRIVES**2
     links = slice(10 * base.n_links)
-    prior[links, links] = DELAY.links * block_diag(*design.metric)
+    prior[links, links] = DELAY_LINKS * block_diag(*design.metric)
     # Nothing is known of the delay beforehand.
     prior[p, p] = 0.0
     start = np.zeros(p + 1)
@@ -296,7 +269,7 @@ def fit_delay(
     x = start
     scale = np.ones(n)
     free = np.arange(p + 1)
-    for _ in range(DELAY.passes):
+    for _ in range(DELAY_PASSES):
         normal = prior.copy()
         right = prior @ start
         for k, (whole, torque) in enumerate(maps):

@@ -23,7 +23,6 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.resampling import GAP
-from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (
@@ -33,38 +32,18 @@ from asbuilt.identification.servo.servo_rows import (
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
+# Settings of a replay: own choices.
 
-@dataclass(frozen=True, slots=True)
-class ReplayRules:
-    """Settings of a replay: own choices.
-
-    Parameters
-    ----------
-    step
-        Longest step of the simulation [s].
-    steps_at_once
-        Steps after which the simulation begins again from the state that it reached.
-    samples
-        Samples to replay in all, with noise and with its negative.
-    most_pairs
-        Most pairs of noise and its negative: what is linear in the noise, and so has no mean,
-        cancels.
-    window
-        Samples of a window of the spectra from which the noise follows.
-    above
-        Share of half the sampling rate above which positions are noise.
-    """
-
-    step: float = 1e-3
-    steps_at_once: int = 20_000
-    samples: int = 32_000
-    most_pairs: int = 4
-    window: int = 256
-    above: float = 0.4
-
-
-RULES = ReplayRules()
+REPLAY_STEP = 1e-3  # Longest step of the simulation [s]
+# Steps after which the simulation begins again from the state that it reached
+REPLAY_STEPS_AT_ONCE = 20_000
+REPLAY_SAMPLES = 32_000  # Samples to replay in all, with noise and with its negative
+# Most pairs of noise and its negative: what is linear in the noise, and so has no mean, cancels
+REPLAY_MOST_PAIRS = 4
+REPLAY_WINDOW = 256  # Samples of a window of the spectra from which the noise follows
+REPLAY_ABOVE = 0.4  # Share of half the sampling rate above which positions are noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +108,7 @@ def replay(
     if model.n_floating:
         return None
     total = sum(recording.n_samples for recording in recordings)
-    pairs = 1 if roughly else min(max(round(RULES.samples / (2 * total)), 1), RULES.most_pairs)
+    pairs = 1 if roughly else min(max(round(REPLAY_SAMPLES / (2 * total)), 1), REPLAY_MOST_PAIRS)
     # A fixed seed: the same recordings have the same errors.
     rng = np.random.default_rng(0)
     beta = base.values(parameters)
@@ -185,7 +164,7 @@ def replay_recording(
     """
     links = parameters[: 10 * model.n_links]
     values = parameters[10 * model.n_links :].reshape(model.n_joints, -1)
-    robot = SimulatedRobot(model, base.drive, values, servo).centred(RULES.step)
+    robot = SimulatedRobot(model, base.drive, values, servo).centred(REPLAY_STEP)
     driving = DriveSignal.of(recording, "command")
     engine = Trajectories(model, base)
     out = np.full(recording.q.shape, np.nan)
@@ -217,23 +196,23 @@ def _simulate_spans(
 ) -> Iterator[tuple[Array, Array]]:
     """Yield times (L,) and simulated positions (L, n) from a state (q, qd) on, a span at a time."""
     q, v = state
-    total = int(np.ceil((t[-1] - t[0]) / RULES.step)) + 1
-    for done in range(0, total, RULES.steps_at_once):
-        steps = min(RULES.steps_at_once, total - done)
-        start = float(t[0]) + done * RULES.step
+    total = int(np.ceil((t[-1] - t[0]) / REPLAY_STEP)) + 1
+    for done in range(0, total, REPLAY_STEPS_AT_ONCE):
+        steps = min(REPLAY_STEPS_AT_ONCE, total - done)
+        start = float(t[0]) + done * REPLAY_STEP
         windows = Windows(
             "replay",
-            steps * RULES.step,
-            1.0 / RULES.step,
+            steps * REPLAY_STEP,
+            1.0 / REPLAY_STEP,
             np.array([start]),
             np.broadcast_to(q[:, None], (1, steps + 1, q.shape[1])),
             q,
             v,
             driving,
-            longest_step=RULES.step,
+            longest_step=REPLAY_STEP,
         )
         motion = engine.simulate(robot, windows, links)
-        yield np.asarray(start + RULES.step * np.arange(steps + 1)), np.asarray(motion.q[0])
+        yield np.asarray(start + REPLAY_STEP * np.arange(steps + 1)), np.asarray(motion.q[0])
         # The state is handed on, so that the spans are one motion.
         q = motion.q[:, -1]
         v = motion.v[:, -1]
@@ -260,15 +239,15 @@ def estimate_position_noise(recording: Recording) -> Array:
     >>> estimate_position_noise(Recording(t=t, q=q, tau=q)).round(4).tolist()
     [0.001]
     """
-    runs = [rows for rows in _split_segments(recording) if rows.size >= RULES.window]
+    runs = [rows for rows in _split_segments(recording) if rows.size >= REPLAY_WINDOW]
     if not runs:
         return np.zeros(recording.q.shape[1])
     from scipy.signal import welch  # noqa: PLC0415 - light start
 
     # At a sampling rate of 2 the density of white noise over [0, 1] is its variance.
-    spectra = [welch(recording.q[rows], 2.0, nperseg=RULES.window, axis=0) for rows in runs]
+    spectra = [welch(recording.q[rows], 2.0, nperseg=REPLAY_WINDOW, axis=0) for rows in runs]
     # High frequencies, where no robot moves: what is left there is noise.
-    parts = [np.mean(density[at > RULES.above], axis=0) for at, density in spectra]
+    parts = [np.mean(density[at > REPLAY_ABOVE], axis=0) for at, density in spectra]
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 

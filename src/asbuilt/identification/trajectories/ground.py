@@ -22,23 +22,16 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.physics import STIFFNESS
 from asbuilt.findings import Cure
 
+# Say how a floor and the feet on it are simulated: own choices.
+#
+# A floor is as stiff as what stops a joint by dry friction, since the heights of feet that stand
+# hold how far the real one gives way, and its coefficient of friction is `GROUND_FRICTION`. A foot
+# that is a point is a ball of the radius `GROUND_POINT` [m]. A sole, whose size no log states and
+# whose moments no limit, stands on balls at `GROUND_SOLE` [m] to all sides.
 
-@dataclass(frozen=True, slots=True)
-class GroundRules:
-    """Say how a floor and the feet on it are simulated: own choices.
-
-    A floor is as stiff as what stops a joint by dry friction, since the heights of feet that stand
-    hold how far the real one gives way, and its coefficient of friction is `friction`. A foot that
-    is a point is a ball of the radius `point` [m]. A sole, whose size no log states and whose
-    moments no limit, stands on balls at `sole` [m] to all sides.
-    """
-
-    friction: float = 1.0
-    point: float = 1e-3
-    sole: float = 0.1
-
-
-RULES = GroundRules()
+GROUND_FRICTION = 1.0
+GROUND_POINT = 1e-3
+GROUND_SOLE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +47,7 @@ class Ground:
 
     def places(self, model: RobotModel) -> Array:
         """Return where the floors are, shape (W, K, 3)."""
-        below = self.heights - [_choose_radius(each.radius) for each in model.contacts]
+        below = self.heights - [_choose_radius(contact.radius) for contact in model.contacts]
         return np.asarray(below[..., None] * find_vertical(model))
 
 
@@ -115,7 +108,7 @@ def add_ground(mujoco: Any, spec: Any, model: RobotModel, ground: Ground, step: 
         floor.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=level, **shape
         )
-        across = RULES.sole * _complete_axes(normal)[:, :2].T
+        across = GROUND_SOLE * _complete_axes(normal)[:, :2].T
         corners = [*across, *-across] if contact.flat else [np.zeros(3)]
         for number, corner in enumerate(corners):
             ball = f"{contact.frame} {number}"
@@ -132,12 +125,12 @@ def add_ground(mujoco: Any, spec: Any, model: RobotModel, ground: Ground, step: 
                 geomname2=ball,
                 condim=3,
                 solref=stiff,
-                friction=[RULES.friction, RULES.friction, 0.0, 0.0, 0.0],
+                friction=[GROUND_FRICTION, GROUND_FRICTION, 0.0, 0.0, 0.0],
             )
 
 
 def _choose_radius(radius: float | None) -> float:
-    return max(radius or 0.0, RULES.point)
+    return max(radius or 0.0, GROUND_POINT)
 
 
 def _complete_axes(z: Array) -> Array:

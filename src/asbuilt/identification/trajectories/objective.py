@@ -21,24 +21,16 @@ from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.start_elimination import Eliminated, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
+# Hold weights of the objective, and when a parameter is undetermined.
 
-@dataclass(frozen=True, slots=True)
-class ObjectiveRules:
-    """Hold weights of the objective, and when a parameter is undetermined."""
-
-    drive_ridge: float = 1e-4
-    """Weight of drive parameters toward their start, which matters only if they are
-    undetermined."""
-    smallest: float = 1e-6
-    """Least error of a start [rad, m, rad/s or m/s]."""
-    most_kept: float = 2e7
-    """Numbers of derivatives that are kept for other weights."""
-    mostly: float = 0.5
-    """Share of its variance by prior and torque rows from which a parameter is left
-    undetermined."""
+# Weight of drive parameters toward their start, which matters only if they are undetermined
+OBJECTIVE_DRIVE_RIDGE = 1e-4
+OBJECTIVE_SMALLEST = 1e-6  # Least error of a start [rad, m, rad/s or m/s]
+OBJECTIVE_MOST_KEPT = 2e7  # Numbers of derivatives that are kept for other weights
+# Share of its variance by prior and torque rows from which a parameter is left undetermined
+OBJECTIVE_MOSTLY = 0.5
 
 
-RULES = ObjectiveRules()
 Slopes = Callable[[], Iterator[tuple[Branch, slice, Array]]]
 """What yields the derivatives of the windows of a recording, branch by branch."""
 Starts = tuple[int, slice, Branch, Eliminated]
@@ -157,7 +149,7 @@ class Objective:
             [np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0), np.mean(cut.start_qd**2, axis=0)]
             for cut in self.windows
         )
-        return tuple(1.0 / (np.stack(each) + RULES.smallest**2) for each in squares)
+        return tuple(1.0 / (np.stack(square) + OBJECTIVE_SMALLEST**2) for square in squares)
 
     def motions(self, point: Point, some: Sequence[Indices] | None = None) -> list[Motion]:
         """Simulate all windows, or `some` of each recording by number."""
@@ -198,7 +190,7 @@ class Objective:
 
     def cost(self, point: Point, motions: Sequence[Motion], weights: Weights) -> float:
         """Return half the weighted squares of everything; infinite if a simulation diverges."""
-        total = float(sum(np.sum(each) for each in self.window_costs(point, motions, weights)))
+        total = float(sum(np.sum(cost) for cost in self.window_costs(point, motions, weights)))
         return total + self.other_cost(point) if np.isfinite(total) else np.inf
 
     def window_costs(
@@ -248,7 +240,7 @@ class Objective:
             for cut, motion in zip(self.windows, motions, strict=True)
         ]
         size = sum(cut.n_windows * cut.n_samples for cut in self.windows)
-        if size * self.trajectories.model.n_joints * np.count_nonzero(needed) > RULES.most_kept:
+        if size * self.trajectories.model.n_joints * np.count_nonzero(needed) > OBJECTIVE_MOST_KEPT:
             return tuple(found)
         return tuple(partial(iter, list(each())) for each in found)
 
@@ -377,7 +369,7 @@ class Objective:
         rest = quadratic.matrix[at] - quadratic.data[at]
         held[self.free] = np.diag(inverse @ rest @ inverse) / np.diag(inverse)
         drives = range(10 * self.n_links, self.size)
-        return tuple(names[k] for k in drives if held[k] > RULES.mostly)
+        return tuple(names[k] for k in drives if held[k] > OBJECTIVE_MOSTLY)
 
     def _derive_parameters(self, point: Point) -> Array:
         """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
@@ -440,7 +432,7 @@ class Objective:
         chi = point.chi
         drives = slice(10 * self.n_links, len(chi))
         servo = slice(len(chi), None)
-        ridge[drives] = RULES.drive_ridge / self.prior.drive_scale**2
+        ridge[drives] = OBJECTIVE_DRIVE_RIDGE / self.prior.drive_scale**2
         away[drives] = (chi - self.start.chi)[drives]
         ridge[servo] = self.of_servo.weights
         if point.servo is not None and self.start.servo is not None:

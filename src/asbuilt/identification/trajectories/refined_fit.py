@@ -20,26 +20,20 @@ from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinat
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
+# Hold weights of a refined fit, and how much is simulated for it.
 
-@dataclass(frozen=True, slots=True)
-class FitRules:
-    """Hold weights of a refined fit, and how much is simulated for it."""
-
-    same_samples: float = 0.01
-    """Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
-    where trajectories leave a direction open."""
-    belief: float = 10.0
-    """Weight of the divergence of links from CAD: about a third of a link, in every direction."""
-    stiffer: float = 4.0
-    """Factor of the stiffness of the other start of an unknown servo."""
-    chance: float = 4.5
-    """Fall of the logarithmic likelihood that is beyond chance: three standard errors of a
-    number."""
-    most_seconds: float = 60.0
-    """Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
+# Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
+# where trajectories leave a direction open
+FIT_SAME_SAMPLES = 0.01
+# Weight of the divergence of links from CAD: about a third of a link, in every direction
+FIT_BELIEF = 10.0
+FIT_STIFFER = 4.0  # Factor of the stiffness of the other start of an unknown servo
+# Fall of the logarithmic likelihood that is beyond chance: three standard errors of a number
+FIT_CHANCE = 4.5
+# Time [s] of all windows simulated for a fit; longer recordings give every k-th window
+FIT_MOST_SECONDS = 60.0
 
 
-RULES = FitRules()
 FEW = Steps(rounds=1, most=8)
 FEWEST = Steps(rounds=1, most=4)
 """Steps by which starts are compared: two, and many that lie along a valley."""
@@ -89,7 +83,7 @@ def refine_fit(
     servo: PositionServo | None,
     *,
     of_servo: ServoCoordinates | None = None,
-    belief: float = RULES.belief,
+    belief: float = FIT_BELIEF,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RefinedFit:
@@ -129,7 +123,7 @@ def refine_fit(
     windows = thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
-    share = RULES.same_samples * fit.uncertainty.effective_samples / fit.information.n_samples
+    share = FIT_SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
     objective = Objective(
         Trajectories(model, base),
         tuple(windows),
@@ -212,8 +206,8 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
     chi = start.chi.copy()
     links = 10 * objective.n_links
     chi[:links] = objective.prior.parameters[:links]
-    chi[links:] *= RULES.stiffer
-    stiffer = replace(servo, kp=tuple(RULES.stiffer * kp for kp in servo.kp), delay=0.0)
+    chi[links:] *= FIT_STIFFER
+    stiffer = replace(servo, kp=tuple(FIT_STIFFER * kp for kp in servo.kp), delay=0.0)
     tried = [
         refine(objective, each, steps=FEW)
         for each in (start, replace(start, chi=chi, servo=stiffer))
@@ -256,25 +250,25 @@ def _try_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple
     worse = ahead.cost(other.point, other.motions, plain.weights) - objective.cost(
         plain.point, plain.motions, plain.weights
     )
-    return (objective, plain.point) if worse > RULES.chance else (ahead, other.point)
+    return (objective, plain.point) if worse > FIT_CHANCE else (ahead, other.point)
 
 
 def thin_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
     """Return every k-th window, so that together they last `RULES.most_seconds`."""
-    total = sum(each.n_windows * each.horizon for each in windows)
-    every = max(1, int(np.ceil(total / RULES.most_seconds)))
+    total = sum(window.n_windows * window.horizon for window in windows)
+    every = max(1, int(np.ceil(total / FIT_MOST_SECONDS)))
     count = 0
     chosen = list[Windows]()
-    for each in windows:
-        at = np.arange((-count) % every, each.n_windows, every)
-        count += each.n_windows
+    for window in windows:
+        at = np.arange((-count) % every, window.n_windows, every)
+        count += window.n_windows
         if len(at):
-            chosen.append(each.some(at))
+            chosen.append(window.some(at))
     return tuple(chosen)
 
 
 def _word_note(found: Refinement, windows: Sequence[Windows]) -> str:
-    count = sum(each.n_windows for each in windows)
+    count = sum(window.n_windows for window in windows)
     return (
         f"Refined by trajectories: {count} windows of {windows[0].horizon:g} s simulated under the"
         f" logged {windows[0].signal.kind}, {found.iterations} steps of Levenberg and Marquardt"

@@ -9,9 +9,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.identification.errors.uncertainty import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_RECORDINGS
 from asbuilt.scaled import Scaled
 
 
@@ -147,7 +147,7 @@ def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
     g = len(weights.windows)
     if g < FEWEST_RECORDINGS:
         return found
-    ends = np.cumsum([len(each) for each in weights.windows])[:-1]
+    ends = np.cumsum([len(window) for window in weights.windows])[:-1]
     whole = np.stack([each.sum(axis=0) for each in np.split(scores, ends)])
     return max(found, g / (g - 1.0) * float(np.mean(np.sum(whole**2, axis=0))))
 
@@ -221,7 +221,7 @@ def _try_point(
         if share is None or few > FEW * len(all_rises):
             return None
         worst = [np.flatnonzero(each >= all_rises[few - 1]) for each in rise]
-        starts = [each.copy() for each in tried.starts]
+        starts = [start.copy() for start in tried.starts]
         for new, old, at in zip(starts, point.starts, worst, strict=True):
             new[at] = share * old[at] + (1.0 - share) * new[at]
         tried = replace(tried, starts=tuple(starts))

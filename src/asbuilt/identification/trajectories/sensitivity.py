@@ -152,11 +152,11 @@ class Trajectories:
         if needed is None:
             needed = np.ones(self.n_parameters, dtype=np.bool_)
         branches = tuple(
-            replace(each, parameters=each.parameters[needed[each.parameters]])
-            for each in self.branches
+            replace(branch, parameters=branch.parameters[needed[branch.parameters]])
+            for branch in self.branches
         )
         n = self.model.n_joints
-        most = max(len(each.parameters) + 2 * len(each.joints) for each in branches)
+        most = max(len(branch.parameters) + 2 * len(branch.joints) for branch in branches)
         size = windows.n_steps * n * (3 * n + most)
         # Numbers held at once by the derivatives of a chunk of windows.
         chunk = max(1, int(3e7 / size))
@@ -197,7 +197,7 @@ class Trajectories:
         late = (windows.slopes(robot.delay, robot.lead) if servo else np.zeros(shape)).reshape(
             -1, n
         )
-        leads = servo and any(self.n_parameters - 1 in each.parameters for each in branches)
+        leads = servo and any(self.n_parameters - 1 in branch.parameters for branch in branches)
         ahead = windows.rates(robot.delay).reshape(-1, n) if leads else late
         free = (motion.state < 2.0).reshape(-1, n)
         error = inputs - q

@@ -80,7 +80,7 @@ class SimulatedRobot:
 
     def value_of(self, key: str) -> Array:
         """Return the values (n,) of a term with one parameter, zero where a joint lacks it."""
-        term = next((each for each in self.drive.terms if each.key == key), None)
+        term = next((term for term in self.drive.terms if term.key == key), None)
         if term is None:
             return np.zeros(self.model.n_joints)
         there = [term.is_at(k) for k in range(self.model.n_joints)]

@@ -26,7 +26,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.screen import format_size
 from asbuilt.tables import format_plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
-from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
+from asbuilt.validation.attribution.body_differences import Body, BodyDifference, explain_bodies
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.significance import holm

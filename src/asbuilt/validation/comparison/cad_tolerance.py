@@ -14,7 +14,7 @@ from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
-from asbuilt.identification.errors.block_scatter import (
+from asbuilt.identification.uncertainty.block_scatter import (
     mean_degrees,
     student_probability,
     sum_degrees,

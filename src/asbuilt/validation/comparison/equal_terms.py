@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.identification.errors.block_scatter import (
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.block_scatter import (
     BlockScatter,
     mean_degrees,
     sum_degrees,
     widening,
 )
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.significance import ChiSquare, chi_square, joint_test
 
 FREE_METHOD = "wls"

@@ -15,7 +15,7 @@ def describe_parameters(base: BaseParameters) -> tuple[str, ...]:
 
     >>> from asbuilt.description.catalogue import bundled_robot
     >>> from asbuilt.dynamics.base.base_parameters import find_base_parameters
-    >>> from asbuilt.dynamics.drives.selection import DriveSet
+    >>> from asbuilt.dynamics.drives.drive_set import DriveSet
     >>> base = find_base_parameters(bundled_robot("kuka-iiwa7-r800"), DriveSet.parse("coulomb"))
     >>> dict(zip(base.names, describe_parameters(base)))["mz4"]
     'first moment along z, links 4 to 7'

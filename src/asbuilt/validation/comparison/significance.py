@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices, Mask
-from asbuilt.identification.errors.block_scatter import effective_rank, student_probability
+from asbuilt.identification.uncertainty.block_scatter import effective_rank, student_probability
 from asbuilt.scaled import Scaled
 from asbuilt.tables import round_significant
 

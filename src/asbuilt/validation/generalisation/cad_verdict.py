@@ -23,20 +23,17 @@ from asbuilt.validation.prediction import Validation
 Outcome = Literal["better", "worse", "undecided"]
 
 
-@dataclass(frozen=True, slots=True)
-class VerdictRule:
-    """Say when predictions differ.
+# Say when predictions differ.
+#
+# `VERDICT_LEVEL` is the familywise error over the joints (Holm). Time is divided into
+# `VERDICT_BLOCKS`, none shorter than `VERDICT_SHORTEST` [s], so that the errors of successive
+# blocks are about independent.
 
-    `level` is the familywise error over the joints (Holm). Time is divided into `blocks`, none
-    shorter than `shortest` [s], so that the errors of successive blocks are about independent.
-    """
-
-    level: float = 0.05
-    blocks: int = 20
-    shortest: float = 1.0
+VERDICT_LEVEL = 0.05
+VERDICT_BLOCKS = 20
+VERDICT_SHORTEST = 1.0
 
 
-RULE = VerdictRule()
 FEWEST = 3
 """Time blocks whose scatter gives a standard error."""
 
@@ -207,7 +204,7 @@ def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[F
 
 def _number_blocks(t: Array) -> Array:
     """Return the number of the time block of each sample, counted from 0 without gaps."""
-    seconds = max(RULE.shortest, float(t[-1] - t[0]) / RULE.blocks)
+    seconds = max(VERDICT_SHORTEST, float(t[-1] - t[0]) / VERDICT_BLOCKS)
     # 1e-9: a time that is a border up to rounding begins a block.
     return np.asarray(np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1])
 
@@ -234,7 +231,7 @@ def _make_verdict(
 ) -> JointVerdict:
     known = bool(np.isfinite(sigmas))
     # An order of means that the RMS errors contradict is one of few blocks.
-    sure = known and strict <= RULE.level and (sigmas > 0) == (built < cad)
+    sure = known and strict <= VERDICT_LEVEL and (sigmas > 0) == (built < cad)
     outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
     if not known:
         return JointVerdict(joint, unit, cad, built, None, None, None, outcome)

@@ -18,30 +18,15 @@ from asbuilt.validation.comparison.comparison import recording_name
 WIDER = Cure("validate on a wider and faster motion", call="design_motion")
 
 
-@dataclass(frozen=True, slots=True)
-class Coverage:
-    """Say how much of range and speed a motion covers that stands for others.
+# Say how much of range and speed a motion covers that stands for others.
+#
+# Settled on recordings of a UR10e and an LWR4+: fits to half the range at 35 % of the top speed
+# predict other motion with 1.3 times the error of blocks held out, fits to 20 % of the top speed
+# with 2 to 4 times that.
 
-    Settled on recordings of a UR10e and an LWR4+: fits to half the range at 35 % of the top speed
-    predict other motion with 1.3 times the error of blocks held out, fits to 20 % of the top speed
-    with 2 to 4 times that.
-
-    Parameters
-    ----------
-    position
-        Share of the range, at most a turn, that every joint passes through.
-    speed
-        Share of the speed limit that half of the joints reach.
-    percentile
-        Of speed [%], which single samples do not decide.
-    """
-
-    position: float = 0.25
-    speed: float = 0.25
-    percentile: float = 99.0
-
-
-COVERAGE = Coverage()
+COVERAGE_POSITION = 0.25  # Share of the range, at most a turn, that every joint passes through
+COVERAGE_SPEED = 0.25  # Share of the speed limit that half of the joints reach
+COVERAGE_PERCENTILE = 99.0  # Of speed [%], which single samples do not decide
 
 
 def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[Finding]:
@@ -70,14 +55,14 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
     speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
     # Percentiles, as single samples are noise.
     fast = np.max(
-        [np.percentile(speed_samples, COVERAGE.percentile, axis=0) for speed_samples in speeds],
+        [np.percentile(speed_samples, COVERAGE_PERCENTILE, axis=0) for speed_samples in speeds],
         axis=0,
     )
     wider = undesigned(WIDER) if model.n_floating else WIDER
     # Over all recordings together: each may cover a part.
     covered = _measure_range_share(high.max(axis=0) - low.min(axis=0), span)
     reached = _measure_range_share(fast, speed)
-    narrow = np.flatnonzero(covered < COVERAGE.position)
+    narrow = np.flatnonzero(covered < COVERAGE_POSITION)
     if narrow.size:
         listed = join_names(
             [
@@ -88,7 +73,7 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
         )
         yield Finding("motion_narrow", "info", f"The motion covers {listed}", wider)
     # The median joint: some joints are seldom fast.
-    if np.any(np.isfinite(reached)) and np.nanmedian(reached) < COVERAGE.speed:
+    if np.any(np.isfinite(reached)) and np.nanmedian(reached) < COVERAGE_SPEED:
         typical = format_share(float(np.nanmedian(reached)), 0)
         yield Finding(
             "motion_slow",

@@ -14,36 +14,16 @@ from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.unexplained import describe_large_errors
 from asbuilt.validation.prediction import Validation
 
+# Say what validation data must not exceed; own choices, from recordings of seven real robots.
 
-@dataclass(frozen=True, slots=True)
-class GeneralisationLimits:
-    """Say what validation data must not exceed; own choices, from recordings of seven real robots.
-
-    Parameters
-    ----------
-    overfit
-        Error of a joint, in multiples of its training error.
-    noticeable
-        Error of a joint as a fraction of its torque, below which `overfit` is no matter.
-    behind_cad
-        Error of a joint as built, in multiples of CAD's error.
-    resting_energy
-        Share of a joint's squared error at rest,.
-    resting_ratio
-        Its error at rest in multiples of that in motion,.
-    resting_time
-        And its share of the time at rest, from which static friction is named.
-    """
-
-    overfit: float = 2.0
-    noticeable: float = 0.1
-    behind_cad: float = 1.05
-    resting_energy: float = 0.5
-    resting_ratio: float = 2.0
-    resting_time: float = 0.05
-
-
-LIMITS = GeneralisationLimits()
+GENERALISATION_OVERFIT = 2.0  # Error of a joint, in multiples of its training error
+# Error of a joint as a fraction of its torque, below which `GENERALISATION_OVERFIT` is no matter
+GENERALISATION_NOTICEABLE = 0.1
+GENERALISATION_BEHIND_CAD = 1.05  # Error of a joint as built, in multiples of CAD's error
+GENERALISATION_RESTING_ENERGY = 0.5  # Share of a joint's squared error at rest,
+GENERALISATION_RESTING_RATIO = 2.0  # Its error at rest in multiples of that in motion,
+# And its share of the time at rest, from which static friction is named
+GENERALISATION_RESTING_TIME = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +45,9 @@ class RestingErrors:
     def dominant(self) -> Mask:
         """Which joints (n,) have an error that is mostly static friction at rest."""
         return np.asarray(
-            (self.energy > LIMITS.resting_energy)
-            & (self.resting > LIMITS.resting_ratio * self.moving)
-            & (self.time > LIMITS.resting_time)
+            (self.energy > GENERALISATION_RESTING_ENERGY)
+            & (self.resting > GENERALISATION_RESTING_RATIO * self.moving)
+            & (self.time > GENERALISATION_RESTING_TIME)
         )
 
 
@@ -178,20 +158,21 @@ def _report_generalisation(
 
     worse = np.flatnonzero(
         # An error that is small compared with the torque is no matter, however it grew.
-        (error > LIMITS.overfit * train.rms) & (built.relative_error_per_joint > LIMITS.noticeable)
+        (error > GENERALISATION_OVERFIT * train.rms)
+        & (built.relative_error_per_joint > GENERALISATION_NOTICEABLE)
     )
     if worse.size:
         whose = " of the same fit" if refitted else ""
         yield Finding(
             "does_not_generalise",
             "warning",
-            f"Errors on {source} are more than {LIMITS.overfit:g} times those in"
+            f"Errors on {source} are more than {GENERALISATION_OVERFIT:g} times those in"
             f" training{whose} at {listed(worse, error, train)}{_word_times(validation, worse)}",
             Cure("record longer and more varied motion, or use fewer drive terms"),
             joint=built.joint_names[worse[0]] if len(worse) == 1 else None,
             torque=_measure_error_share(built, worse),
         )
-    behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
+    behind = np.flatnonzero(built.rms > GENERALISATION_BEHIND_CAD * cad.rms)
     # Without masses CAD predicts nothing that could be better.
     if behind.size and np.any(validation.predicted_cad):
         yield Finding(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -17,21 +16,14 @@ from asbuilt.findings import Cure
 from asbuilt.identification import IdentificationResult, predict_torque
 from asbuilt.tables import round_significant
 
+# Say when torques count as swapped or negated; own choices, tested on real robots.
+#
+# `SWAP_LEFT` is the part of the squared error that a swap of two torques or one opposite sign may
+# leave at most; `SWAP_NOISE` the squared error per torque, in noise variances of the result, below
+# which nothing is tried.
 
-@dataclass(frozen=True, slots=True)
-class SwapLimits:
-    """Say when torques count as swapped or negated; own choices, tested on real robots.
-
-    `left` is the part of the squared error that a swap of two torques or one opposite sign may
-    leave at most; `noise` the squared error per torque, in noise variances of the result, below
-    which nothing is tried.
-    """
-
-    left: float = 0.25
-    noise: float = 4.0
-
-
-LIMITS = SwapLimits()
+SWAP_LEFT = 0.25
+SWAP_NOISE = 4.0
 
 
 def refuse_swapped(
@@ -53,14 +45,14 @@ def refuse_swapped(
         basis = _build_body_torques(result, samples, link, placement)
         as_logged = _measure_remaining_error((arm.measured - arm.predicted) * weights, basis)
         # A body explains the torques as logged: nothing is asked.
-        if as_logged < LIMITS.noise:
+        if as_logged < SWAP_NOISE:
             continue
         tried = [
             (_measure_remaining_error((changed - arm.predicted) * weights, basis), what, cure)
             for changed, what, cure in _list_changes(arm.measured, result.joint_names)
         ]
         best, what, cure = min(tried, key=lambda trial: trial[0])
-        if best < LIMITS.left * as_logged:
+        if best < SWAP_LEFT * as_logged:
             raise RecordingError(
                 f"{samples.source}: the torques do not fit the arm of the result with any body at"
                 f" its flange; {what} (error {round_significant(np.sqrt(as_logged), 2)} times the"

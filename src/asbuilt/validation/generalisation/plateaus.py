@@ -31,45 +31,25 @@ from asbuilt.identification.result.torque_prediction import Prediction, predict_
 from asbuilt.scaled import Scaled
 from asbuilt.validation.prediction import torque_units
 
+# Say what a plateau is: settled on virtual UR10e, Panda and iiwa, with noise of 1 %.
 
-@dataclass(frozen=True, slots=True)
-class PlateauRules:
-    """Say what a plateau is: settled on virtual UR10e, Panda and iiwa, with noise of 1 %.
-
-    Parameters
-    ----------
-    highest
-        Percentile of a torque that counts as its level, so that a spike does not.
-    near, left_out
-        Parts of the level from which samples are close to it, and from which they are left out of
-        the fit.
-    fewest
-        Filtered samples of a plateau.
-    follows
-        Slope of the torque by what the model implies, from which it follows the model.
-    flat
-        Part of the scatter of what is implied below which the scatter of the torque lies.
-    exceeds
-        Excess of the largest torque implied, as a part of the level.
-    explained
-        Error of the fit to the whole log there, relative to the fit to the rest, up to which the
-        model explains it: a load that hardly varies leaves nothing else to fit.
-    matters
-        Level, as a part of the joint's largest torque, below which it is not one.
-    """
-
-    highest: float = 99.5
-    near: float = 0.97
-    left_out: float = 0.93
-    fewest: int = 10
-    follows: float = 0.3
-    flat: float = 0.3
-    exceeds: float = 0.06
-    explained: float = 0.2
-    matters: float = 0.3
+PLATEAU_HIGHEST = 99.5  # Percentile of a torque that counts as its level, so that a spike does not
+# PLATEAU_NEAR, PLATEAU_LEFT_OUT: parts of the level from which samples are close to it, and from
+# which they are left out of the fit
+PLATEAU_NEAR = 0.97
+PLATEAU_LEFT_OUT = 0.93
+PLATEAU_FEWEST = 10  # Filtered samples of a plateau
+# Slope of the torque by what the model implies, from which it follows the model
+PLATEAU_FOLLOWS = 0.3
+# Part of the scatter of what is implied below which the scatter of the torque lies
+PLATEAU_FLAT = 0.3
+PLATEAU_EXCEEDS = 0.06  # Excess of the largest torque implied, as a part of the level
+# Error of the fit to the whole log there, relative to the fit to the rest, up to which the model
+# explains it: a load that hardly varies leaves nothing else to fit
+PLATEAU_EXPLAINED = 0.2
+PLATEAU_MATTERS = 0.3  # Level, as a part of the joint's largest torque, below which it is not one
 
 
-RULES = PlateauRules()
 MOST_HELD = 100e6
 """Memory [bytes] of the normal equations that one walk over the samples makes."""
 
@@ -148,7 +128,7 @@ def drop_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tupl
         keep = np.ones(samples.n_samples, dtype=np.bool_)
         for plateau in found:
             # The sign of the level turns the comparison for negative torques.
-            keep &= samples.tau[:, plateau.joint] / plateau.level < RULES.left_out
+            keep &= samples.tau[:, plateau.joint] / plateau.level < PLATEAU_LEFT_OUT
         if keep.any():
             kept.append(samples if keep.all() else samples.select(keep))
     return tuple(kept)
@@ -160,14 +140,14 @@ def _find_crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
     for joint in range(tau.shape[1]):
         for sign in (1.0, -1.0):
             x = sign * tau[:, joint]
-            level = float(np.percentile(x, RULES.highest))
+            level = float(np.percentile(x, PLATEAU_HIGHEST))
             # A level far below the largest torque is no limit.
-            if level <= RULES.matters * np.abs(x).max():
+            if level <= PLATEAU_MATTERS * np.abs(x).max():
                 continue
-            near = int(np.sum(x > RULES.near * level))
+            near = int(np.sum(x > PLATEAU_NEAR * level))
             # As wide a band just below: more samples near the level than there are unusual.
-            below = int(np.sum(x > (2.0 * RULES.near - 1.0) * level)) - near
-            if near >= max(RULES.fewest, below):
+            below = int(np.sum(x > (2.0 * PLATEAU_NEAR - 1.0) * level)) - near
+            if near >= max(PLATEAU_FEWEST, below):
                 yield joint, sign
 
 
@@ -192,11 +172,11 @@ class _Crowded:
     ) -> _Crowded:
         """Return the torque of a joint as logged and predicted."""
         torque = [sign * prediction.measured[:, joint] for prediction in logged]
-        level = float(np.percentile(np.concatenate(torque), RULES.highest))
+        level = float(np.percentile(np.concatenate(torque), PLATEAU_HIGHEST))
         error = [prediction.measured - prediction.predicted for prediction in logged]
         left_out = tuple(
             # Filtered torques are compared at their own times.
-            np.interp(samples.t, log.t, x) >= RULES.left_out * level
+            np.interp(samples.t, log.t, x) >= PLATEAU_LEFT_OUT * level
             for samples, log, x in zip(training, logged, torque, strict=True)
         )
         whole = np.concatenate([each[:, joint] for each in error])
@@ -235,15 +215,15 @@ def _saturates(crowded: _Crowded, implied: Array) -> bool:
     beyond = implied > crowded.level
     x = crowded.torque[beyond]
     y = implied[beyond]
-    if x.size < RULES.fewest or y.max() < (1.0 + RULES.exceeds) * crowded.level:
+    if x.size < PLATEAU_FEWEST or y.max() < (1.0 + PLATEAU_EXCEEDS) * crowded.level:
         return False
     # The whole fit explains the torque there: nothing saturates.
-    if np.mean(crowded.error[beyond] ** 2) <= RULES.explained**2 * np.mean((y - x) ** 2):
+    if np.mean(crowded.error[beyond] ** 2) <= PLATEAU_EXPLAINED**2 * np.mean((y - x) ** 2):
         return False
     scatter = float(np.std(y))
     # Slope of the logged torque by the implied one: 1 follows, 0 is flat.
     slope = float(np.mean((x - x.mean()) * (y - y.mean()))) / scatter**2
-    return abs(slope) <= RULES.follows and bool(np.std(x) <= RULES.flat * scatter)
+    return abs(slope) <= PLATEAU_FOLLOWS and bool(np.std(x) <= PLATEAU_FLAT * scatter)
 
 
 class _Fits:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,27 +90,17 @@ def _is_push(error: Array, spread: float) -> bool:
     return size > PUSHED * spread and abs(float(np.mean(error))) > ONE_SIDED * size
 
 
-@dataclass(frozen=True, slots=True)
-class ReturningRules:
-    """Say when a torque error returns with the state of its joint: own choices."""
+# Say when a torque error returns with the state of its joint: own choices.
 
-    order: int = 36
-    """Half waves over the range of positions, at most a turn: 18 teeth or poles."""
-    stiff: tuple[float, ...] = (1.0, 10.0, 100.0)
-    """Trial weights of the prior, in samples."""
-    folds: int = 8
-    """Parts of a recording that are held out in turn; what returns is predicted by the others."""
-    most: int = 20_000
-    """Samples of long recordings."""
-    sure: float = 2.0
-    """Standard errors over the parts."""
-    share: float = 0.2
-    """Share of the squared error from which on it is reported."""
-    felt: float = 0.01
-    """Share of the joint's torque below which it is of no account: torque sensors err as much."""
-
-
-RETURNING = ReturningRules()
+RETURNING_ORDER = 36  # Half waves over the range of positions, at most a turn: 18 teeth or poles
+RETURNING_STIFF = (1.0, 10.0, 100.0)  # Trial weights of the prior, in samples
+# Parts of a recording that are held out in turn; what returns is predicted by the others
+RETURNING_FOLDS = 8
+RETURNING_MOST = 20_000  # Samples of long recordings
+RETURNING_SURE = 2.0  # Standard errors over the parts
+RETURNING_SHARE = 0.2  # Share of the squared error from which on it is reported
+# Share of the joint's torque below which it is of no account: torque sensors err as much
+RETURNING_FELT = 0.01
 
 
 def report_nameless(
@@ -140,11 +129,11 @@ def report_nameless(
             )
         )
         # Ceiling division: at most `most` samples.
-        every = -(-q.size // RETURNING.most)
+        every = -(-q.size // RETURNING_MOST)
         share, chance = returning_share(q[::every], qd[::every] > 0.0, error[::every])
         # Squares on both sides: `felt` is a share of the torque, not of its square.
-        felt = share * np.mean(error**2) > RETURNING.felt**2 * np.mean(torque**2)
-        if felt and share > max(RETURNING.share, RETURNING.sure * chance):
+        felt = share * np.mean(error**2) > RETURNING_FELT**2 * np.mean(torque**2)
+        if felt and share > max(RETURNING_SHARE, RETURNING_SURE * chance):
             named.append(f"{joint} ({100 * share:.0f} %)")
     if named:
         yield Finding(
@@ -166,7 +155,7 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
     predicts nothing, so that the share is negative. What turns by more than one turn is taken to
     have the same error after each.
     """
-    order = np.arange(RETURNING.order + 1)
+    order = np.arange(RETURNING_ORDER + 1)
     whole = 2.0 * np.pi
     span = float(np.ptp(q))
     # Beyond a turn the same tooth passes again.
@@ -175,23 +164,23 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
     wave = np.cos(turn[:, None] * order)
     # Each direction has a series of its own: friction differs by it.
     X = np.hstack([wave * forward[:, None], wave * ~forward[:, None]])
-    fold = np.arange(q.size) * RETURNING.folds // q.size
-    grams = np.array([X[fold == f].T @ X[fold == f] for f in range(RETURNING.folds)])
-    sides = np.array([X[fold == f].T @ error[fold == f] for f in range(RETURNING.folds)])
+    fold = np.arange(q.size) * RETURNING_FOLDS // q.size
+    grams = np.array([X[fold == f].T @ X[fold == f] for f in range(RETURNING_FOLDS)])
+    sides = np.array([X[fold == f].T @ error[fold == f] for f in range(RETURNING_FOLDS)])
     # Fine waves need more evidence than coarse ones.
     prior = np.tile(1.0 + (order / 4.0) ** 2, 2)
-    energy = np.bincount(fold, error**2, RETURNING.folds)
+    energy = np.bincount(fold, error**2, RETURNING_FOLDS)
     best = (-np.inf, 0.0)
-    for stiff in RETURNING.stiff:
+    for stiff in RETURNING_STIFF:
         ends = np.linalg.solve(
             grams.sum(axis=0) - grams + stiff * np.diag(prior),
             (sides.sum(axis=0) - sides)[..., None],
         )[..., 0]
         # |X b - e|^2 - |e|^2 on each part, by sums over it.
         left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
-        mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING.folds
+        mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING_FOLDS
         shares = -left / mean
-        error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING.folds)
+        error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING_FOLDS)
         # The best prior by held-out error, with its standard error.
         best = max(best, (float(shares.mean()), error_of_mean))
     return best

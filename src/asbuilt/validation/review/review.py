@@ -13,8 +13,8 @@ from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.findings import Finding
-from asbuilt.identification.errors.block_scatter import mean_degrees, student_probability
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.block_scatter import mean_degrees, student_probability
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, compare
 from asbuilt.validation.comparison.equal_terms import ComparedValues

@@ -10,8 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
-from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.block_scatter import student_probability
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.review.claimed_numbers import Claim
 

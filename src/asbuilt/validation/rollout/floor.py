@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,20 +16,17 @@ if TYPE_CHECKING:
     from asbuilt.identification.trajectories.windows import Windows
 
 
-@dataclass(frozen=True, slots=True)
-class Repetition:
-    """Say when two windows have the same command: own choices.
+# Say when two windows have the same command: own choices.
+#
+# At every one of `REPETITION_POINTS` times of the window each joint's command must agree within
+# `REPETITION_TOLERANCE` of its range in all windows, and the command must move by
+# `REPETITION_MOVING` of it.
 
-    At every one of `points` times of the window each joint's command must agree within
-    `tolerance` of its range in all windows, and the command must move by `moving` of it.
-    """
-
-    points: int = 8
-    tolerance: float = 2e-3
-    moving: float = 0.02
+REPETITION_POINTS = 8
+REPETITION_TOLERANCE = 2e-3
+REPETITION_MOVING = 0.02
 
 
-SAME = Repetition()
 ROUNDING = 1e-3
 """Share of a period by which times of samples and commands differ by rounding."""
 
@@ -54,14 +50,14 @@ def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list
     # Joints without commands that move never differ.
     scaled = commands / np.where(size > 0.0, size, np.inf)
     # Rests repeat by themselves, and say nothing.
-    moves = np.ptp(scaled, axis=1).max(axis=1) > SAME.moving
+    moves = np.ptp(scaled, axis=1).max(axis=1) > REPETITION_MOVING
     places = np.flatnonzero(moves)
     # A few times are enough to tell commands apart.
-    at = np.linspace(0, scaled.shape[1] - 1, SAME.points).astype(int)
+    at = np.linspace(0, scaled.shape[1] - 1, REPETITION_POINTS).astype(int)
     if len(places) < 2:
         return None
     tree = KDTree(scaled[places][:, at].reshape(len(places), -1))
-    pairs = tree.query_pairs(SAME.tolerance, p=np.inf, output_type="ndarray")
+    pairs = tree.query_pairs(REPETITION_TOLERANCE, p=np.inf, output_type="ndarray")
     if not len(pairs):
         return None
     first = places[pairs[:, 0]]

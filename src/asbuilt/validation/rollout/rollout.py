@@ -16,7 +16,8 @@ from asbuilt.errors import InertiaError
 from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.tables import Cell, Column, Shown, Table, round_significant
-from asbuilt.validation.rollout.errors import (
+from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
+from asbuilt.validation.rollout.position_errors import (
     OUTLYING,
     OutlyingWindow,
     RecordingErrors,
@@ -28,7 +29,6 @@ from asbuilt.validation.rollout.errors import (
     measure_rollout_errors,
     position_unit,
 )
-from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot

@@ -15,7 +15,7 @@ from asbuilt.identification import FeasibleInterval, IdentificationResult
 from asbuilt.tables import format_share, round_significant
 from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.rollout.errors import position_unit
+from asbuilt.validation.rollout.position_errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.reasons import (
     RULES,

@@ -18,7 +18,7 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.result.torque_prediction import pair_with_measured, parameter_torque
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import Rollout
 
 Measure = Literal["torque", "rollout"]

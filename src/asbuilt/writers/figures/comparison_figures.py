@@ -47,7 +47,7 @@ def draw_attribution(attribution: Attribution) -> Figure:
     """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
     n = len(attribution.joint_names)
     place = np.arange(n)
-    shares = np.array([each.share for each in attribution.shares])
+    shares = np.array([share.share for share in attribution.shares])
     ups = np.maximum(shares, 0.0)
     downs = np.minimum(shares, 0.0)
     top = ups.sum(axis=0) + attribution.unexplained
@@ -126,7 +126,9 @@ def draw_differences(comparison: Comparison) -> Figure:
 
     Those below a fiftieth of the largest are left out.
     """
-    largest = max((each.torque_total or 0.0 for each in comparison.parameters), default=0.0)
+    largest = max(
+        (parameter.torque_total or 0.0 for parameter in comparison.parameters), default=0.0
+    )
     # Most parameters in the figure.
     shown = [
         each
@@ -173,11 +175,11 @@ def draw_drift(drift: Drift) -> Figure:
     change = "difference" if drift.of_models else "change"
     joints = drift.joints
     place = np.arange(len(drift.joints))
-    sure = np.array([each.holm <= drift.level for each in joints])
-    torque = np.array([each.torque for each in joints])
-    by_chance = np.array([each.by_chance for each in joints])
+    sure = np.array([joint.holm <= drift.level for joint in joints])
+    torque = np.array([joint.torque for joint in joints])
+    by_chance = np.array([joint.by_chance for joint in joints])
     longest = max(torque.max(initial=0.0), by_chance.max(initial=0.0)) or 1.0
-    units = ", ".join(sorted({each.unit for each in joints}, reverse=True))
+    units = ", ".join(sorted({joint.unit for joint in joints}, reverse=True))
     title = f"{drift.robot}: {change} of torque, and what standard errors explain"
     with open_figure(7.6, 0.46 * len(joints) + 1.3, title) as (figure, (axis,)):
         for label, shift, height, colour, lengths, shown in (
@@ -203,7 +205,7 @@ def draw_drift(drift: Drift) -> Figure:
                     fontsize=7.5 if height > 0.3 else 6.5,
                     color=QUIET,
                 )
-        axis.set_yticks(place, [break_name(each.joint, 20) for each in joints])
+        axis.set_yticks(place, [break_name(joint.joint, 20) for joint in joints])
         axis.set(
             xlabel=f"RMS on the same motion [{units}]",
             xlim=(0.0, 1.12 * longest),

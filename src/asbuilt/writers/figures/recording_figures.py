@@ -34,16 +34,16 @@ def draw_recording(recording: Recording, check: RecordingCheck) -> Figure:
     with open_figure(8.6, 0.9 * n + 0.8, rows=n, columns=2, sharex=True) as (figure, axes):
         for k, name in enumerate(recording.joint_names):
             own = axes[2 * k : 2 * k + 2]
-            findings = [each for each in check.findings if each.joint == name]
+            findings = [finding for finding in check.findings if finding.joint == name]
             colour = MARKS[findings[0].severity] if findings else INK
             for axis, values in zip(own, (recording.q, recording.tau), strict=True):
                 shown = np.isfinite(values[:, k])
                 if np.any(shown):
                     thin = thin_curves(recording.t[shown], values[shown, k], points=POINTS)
                     axis.plot(*thin, color=BLUE, linewidth=0.8)
-                for each in check.findings:
-                    if each.time is not None and each.joint in (None, name):
-                        axis.axvline(each.time, color=MARKS[each.severity], linewidth=1.0)
+                for finding in check.findings:
+                    if finding.time is not None and finding.joint in (None, name):
+                        axis.axvline(finding.time, color=MARKS[finding.severity], linewidth=1.0)
             own[0].set_ylabel(
                 break_name(name, 14), color=colour, rotation=0, ha="right", va="center"
             )

@@ -20,7 +20,7 @@ def thin_curves(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
         index = start + _find_extremes(
             [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))
         )
-        kept.append([np.append(each[index], np.nan) for each in (t, *curves)])
+        kept.append([np.append(curve[index], np.nan) for curve in (t, *curves)])
     if not kept:
         return t, *curves
     # No gap behind the last segment.

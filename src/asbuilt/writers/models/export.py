@@ -16,7 +16,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import IdentificationResult, StandardParameters
-from asbuilt.identification.information.random_motion import build_random_motion_rows
+from asbuilt.identification.information.random_states import build_random_motion_rows
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import round_significant

@@ -140,7 +140,7 @@ def _write_array(values: Sequence[float]) -> str:
 
 
 def _write_list(values: Sequence[float] | Sequence[str]) -> str:
-    texts = (repr(each) if isinstance(each, str) else _write_number(each) for each in values)
+    texts = (repr(value) if isinstance(value, str) else _write_number(value) for value in values)
     return f"[{', '.join(texts)}]"
 
 

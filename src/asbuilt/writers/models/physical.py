@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.description.plausibility import explain_implausible_links, find_wrong_units
+from asbuilt.description.plausibility import (
+    explain_implausible_links,
+    find_inconsistencies,
+    find_wrong_units,
+)
 from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure

@@ -36,7 +36,9 @@ def write_check_page(
         mood = "bad" if check.errors else "" if check.warnings else "good"
         parts = [
             paragraph_markup(check.headline, f"verdict {mood}"),
-            list_markup((each.severity, each.as_line(cure_text)) for each in check.findings),
+            list_markup(
+                (finding.severity, finding.as_line(cure_text)) for finding in check.findings
+            ),
         ]
         if not isinstance(recording, Samples):
             parts.append(

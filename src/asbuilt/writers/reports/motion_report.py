@@ -62,8 +62,8 @@ def render_motion(design: Design | StaticDesign) -> str:
     remarks = [
         ("" if limits.is_respected else "bad", describe_margins(limits)),
         *(
-            ("" if each.severity == "info" else "bad", each.message)
-            for each in design_findings(design)
+            ("" if finding.severity == "info" else "bad", finding.message)
+            for finding in design_findings(design)
         ),
     ]
     title = "Predicted standard errors" if isinstance(design, Design) else "Poses"

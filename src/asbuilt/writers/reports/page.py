@@ -84,7 +84,7 @@ def cards_markup(cards: Sequence[Card]) -> Markup:
 
 def list_markup(items: Iterable[str | tuple[str, str]]) -> Markup:
     """Return texts as a list; of a pair the first is the class of the line, such as a severity."""
-    lines = [("", each) if isinstance(each, str) else each for each in items]
+    lines = [("", item) if isinstance(item, str) else item for item in items]
     return section_markup(LINES, {"lines": lines}) if lines else Markup("")
 
 
@@ -99,7 +99,7 @@ LINES = """\
 
 def facts_markup(facts: Iterable[tuple[str, str]]) -> Markup:
     """Return names with their texts, in columns."""
-    pairs = (Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(*each) for each in facts)
+    pairs = (Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(*fact) for fact in facts)
     return Markup('<dl class="facts">{}</dl>').format(Markup("").join(pairs))
 
 

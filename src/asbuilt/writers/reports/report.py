@@ -94,7 +94,7 @@ def plot_data(report: Report) -> dict[str, Any]:
     points = int(np.clip(90_000 / joints / 4, 300, 2000))
     return {
         "joints": list(result.joint_names),
-        "recordings": [_collect_recording_data(each, points) for each in predictions],
+        "recordings": [_collect_recording_data(prediction, points) for prediction in predictions],
         "singular_values": _round_values(result.singular_values),
         "rank": result.rank,
     }

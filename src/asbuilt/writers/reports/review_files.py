@@ -61,7 +61,9 @@ def review_document(review: Review) -> dict[str, Any]:
         },
         "claims": make_plain(review.claims),
         "effects": make_plain(review.result.effects),
-        "warnings": [{"code": each.code, "message": each.text} for each in review.findings],
+        "warnings": [
+            {"code": finding.code, "message": finding.text} for finding in review.findings
+        ],
     }
 
 
@@ -73,7 +75,7 @@ def review_text(
         f"{review.letter}: the description predicts these recordings to"
         f" {format_share(review.error)} of the torque ({LETTERS.text})"
     )
-    shown = [each for each in review.findings if full or each.code.startswith("servo_")]
+    shown = [finding for finding in review.findings if full or finding.code.startswith("servo_")]
     return "\n".join(
         [
             wrap_text(review_headline(review)),
@@ -157,7 +159,7 @@ def review_table(review: Review) -> Table:
 
 def _select_important(claims: Sequence[Claim]) -> tuple[int, ...]:
     """Return the places of the claims in a short text: contradicted, then drives, then bodies."""
-    ranks = [(each.verdict != "contradicted", each.what not in DRIVES) for each in claims]
+    ranks = [(claim.verdict != "contradicted", claim.what not in DRIVES) for claim in claims]
     order = sorted(range(len(claims)), key=ranks.__getitem__)
     return tuple(sorted(order[:24]))
 
@@ -216,7 +218,7 @@ def review_html(review: Review) -> str:
         " bars of two standard errors, next to what the description claims; the numbers are in the"
         " table below",
     )
-    found = list_markup((each.severity, each.text) for each in review.findings)
+    found = list_markup((finding.severity, finding.text) for finding in review.findings)
     return render_page(
         review.robot,
         f"{len(review.claims)} claimed numbers",

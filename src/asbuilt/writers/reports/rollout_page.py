@@ -51,10 +51,10 @@ def render_rollouts(
         words = "The measured robot in grey, the simulated one as lines"
         moving.append(image_markup(data_address(animation.read_bytes(), kind), words))
     joints = [
-        table_markup(tabulate_joint_errors(model, each), f"joints-{k}")
-        for k, each in enumerate(rollouts)
+        table_markup(tabulate_joint_errors(model, rollout), f"joints-{k}")
+        for k, rollout in enumerate(rollouts)
     ]
-    findings = list_markup(each.text for each in rollout_findings(rollouts))
+    findings = list_markup(finding.text for finding in rollout_findings(rollouts))
     motion = section_markup(ROLLOUT, fill_rollout_fields(model, rollouts))
     return render_page(
         model.name,

@@ -29,7 +29,10 @@ class Report:
     def predictions(self) -> tuple[tuple[str, Validation], ...]:
         """Predictions with their names: of validation data, then of training data."""
         return (
-            *((recording_name(each.source), each) for each in self.study.validations),
+            *(
+                (recording_name(validation.source), validation)
+                for validation in self.study.validations
+            ),
             *((f"{recording_name(each.source)}, training", each) for each in self.study.training),
         )
 

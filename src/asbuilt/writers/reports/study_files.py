@@ -95,7 +95,7 @@ def study_document(
     refined = study.refined
     optional = {
         "cutoff_sweep": None if cutoffs is None else cutoffs.as_document(),
-        "rollout": [each.as_dict() for each in study.rollouts] or None,
+        "rollout": [rollout.as_dict() for rollout in study.rollouts] or None,
         "refined": None if refined is None else refined.as_dict(),
         "payload": None if payload is None else payload_document(payload),
     }

@@ -116,11 +116,11 @@ def design_text(design: Design | StaticDesign, *, full: bool = False, spell: Spe
         Returns the text of a cure.
     """
     findings = design_findings(design)
-    notes = [each.message for each in findings if each.severity == "info"]
+    notes = [finding.message for finding in findings if finding.severity == "info"]
     bad = [
-        each.message + (f"; {spell(each.cure)}" if each.cure else "")
-        for each in findings
-        if each.severity != "info"
+        finding.message + (f"; {spell(finding.cure)}" if finding.cure else "")
+        for finding in findings
+        if finding.severity != "info"
     ]
     return "\n".join(
         [

@@ -148,7 +148,7 @@ def _format_gains(found: TorqueGains) -> str:
 def _write_option(found: TorqueGains) -> str:
     if not found.of_command:
         return f"--gain={_format_gains(found)}"
-    return "--kp=" + ",".join(str(each) for each in _list_stiffnesses(found))
+    return "--kp=" + ",".join(str(stiffnesse) for stiffnesse in _list_stiffnesses(found))
 
 
 def _write_sheet_line(found: TorqueGains) -> str:
@@ -195,7 +195,7 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
                 found.joint_names, found.scales.tolist(), found.scale_errors.tolist(), strict=True
             )
         ],
-        "warnings": [{"code": each.code, "message": each.text} for each in found.findings],
+        "warnings": [{"code": finding.code, "message": finding.text} for finding in found.findings],
         "undetermined": list(found.estimate.undetermined),
     }
 

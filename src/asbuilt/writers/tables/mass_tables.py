@@ -32,7 +32,7 @@ class ExportedMasses:
         """Return the masses as plain data."""
         return _build_mass_document(self.total) | {
             "links": [
-                {"name": name_place(each)} | _build_mass_document(each) for each in self.links
+                {"name": name_place(link)} | _build_mass_document(link) for link in self.links
             ]
         }
 

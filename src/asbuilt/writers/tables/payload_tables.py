@@ -161,10 +161,10 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
         "headline": describe_payload_outcome(payload),
         "n_samples": payload.n_samples,
         "mass": {
-            **{name: float(each[0]) for name, each in values.items()},
+            **{name: float(value[0]) for name, value in values.items()},
             "slope_by_joint": payload.gain_slopes[0].tolist(),
         },
-        "com": {name: each[1:4].tolist() for name, each in values.items()},
+        "com": {name: value[1:4].tolist() for name, value in values.items()},
         "inertia_about_com": _fill_symmetric(payload.values[4:]),
         "inertia_std_error": _fill_symmetric(payload.std_errors[4:]),
         "inertia_std_error_noise": _fill_symmetric(payload.noise_errors[4:]),

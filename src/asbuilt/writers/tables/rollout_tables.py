@@ -12,7 +12,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrap_text
 from asbuilt.validation import Rollout, recording_name, rollout_findings
-from asbuilt.validation.rollout.errors import RolloutErrors, average_errors, position_unit
+from asbuilt.validation.rollout.position_errors import RolloutErrors, average_errors, position_unit
 from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def with_rollouts(document: dict[str, Any], rollouts: Sequence[Rollout]) -> dict[str, Any]:
     """Return a document of a command with its rollouts, if there are any."""
-    return document | ({"rollout": [each.as_dict() for each in rollouts]} if rollouts else {})
+    return document | ({"rollout": [rollout.as_dict() for rollout in rollouts]} if rollouts else {})
 
 
 def rollout_text(
@@ -39,16 +39,16 @@ def rollout_text(
         return ""
     parts = [tabulate_rollouts(model, rollouts)]
     if full:
-        parts += [tabulate_joint_errors(model, each) for each in rollouts]
+        parts += [tabulate_joint_errors(model, rollout) for rollout in rollouts]
         parts += [
-            tabulate_recording_errors(model, each)
-            for each in rollouts
-            if len(each.by_recording) > 1
+            tabulate_recording_errors(model, rollout)
+            for rollout in rollouts
+            if len(rollout.by_recording) > 1
         ]
     notes = (
         []
         if cure_text is None
-        else [wrap_text(each.advised(cure_text)) for each in rollout_findings(rollouts)]
+        else [wrap_text(finding.advised(cure_text)) for finding in rollout_findings(rollouts)]
     )
     return "\n" + "\n".join([*(part.as_text(full) for part in parts), *notes])
 
@@ -111,8 +111,8 @@ def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
     means = map(format_in_milli, average_errors(runs).values())
     rows = (
         *(
-            (recording_name(each.source), each.n_windows, *map(_show_error, each.errors().values()))
-            for each in runs
+            (recording_name(run.source), run.n_windows, *map(_show_error, run.errors().values()))
+            for run in runs
         ),
         ("mean of recordings", rollout.n_windows, *means),
     )

@@ -85,13 +85,13 @@ def identify_document(
         "drive": str(result.base.drive),
         "errors": make_plain(result.errors) | {"sentence": result.errors_sentence},
         "motor_side": (
-            [asdict(each) for each in motor_side_parameters(result)]
+            [asdict(parameter) for parameter in motor_side_parameters(result)]
             if gear_ratios(result.model)
             else []
         ),
         "determination": study.determination.as_dict(),
         "mass": None if masses is None else masses.as_dict(),
-        "warnings": [{"code": each.code, "message": each.text} for each in study.findings],
+        "warnings": [{"code": finding.code, "message": finding.text} for finding in study.findings],
         "findings": make_plain(study.findings),
         "files": path_texts(files),
     }

@@ -84,8 +84,8 @@ def make_day(entry: Entry) -> Day:
 def merge_by_day(logs: Iterable[Day]) -> tuple[Day, ...]:
     """Merge the logs of each day (UTC), in order of time."""
     groups: dict[str, list[Day]] = {}
-    for each in sorted(logs, key=lambda day: day.date):
-        groups.setdefault(f"{each.date.astimezone(UTC):%Y-%m-%d}", []).append(each)
+    for log in sorted(logs, key=lambda day: day.date):
+        groups.setdefault(f"{log.date.astimezone(UTC):%Y-%m-%d}", []).append(log)
     return tuple(_merge_days(group) for group in groups.values())
 
 

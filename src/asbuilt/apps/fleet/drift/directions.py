@@ -54,25 +54,19 @@ def list_sources(columns: FleetColumns) -> tuple[Source, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class UsualChanges:
-    """Sizes of changes that robots usually undergo; they choose directions, and bias nothing.
+# Sizes of changes that robots usually undergo; they choose directions, and bias nothing.
+#
+# Shares of friction and armature, a gain, a tilt [rad], and inertia [kg m^2], first moments [kg m]
+# and mass [kg] of a payload. Offsets and mass distributions are changed by `USUAL_CHANGES_OTHERS`,
+# and all at most by `USUAL_CHANGES_MOST`, in standard errors of a day of the change alone.
 
-    Shares of friction and armature, a gain, a tilt [rad], and inertia [kg m^2], first moments
-    [kg m] and mass [kg] of a payload. Offsets and mass distributions are changed by `others`, and
-    all at most by `most`, in standard errors of a day of the change alone.
-    """
-
-    friction: float = 0.3
-    armature: float = 0.1
-    gain: float = 0.05
-    tilt: float = 0.005
-    payload: tuple[float, float, float] = (0.005, 0.05, 0.5)
-    others: float = 3.0
-    most: float = 12.0
-
-
-USUAL = UsualChanges()
+USUAL_CHANGES_FRICTION = 0.3
+USUAL_CHANGES_ARMATURE = 0.1
+USUAL_CHANGES_GAIN = 0.05
+USUAL_CHANGES_TILT = 0.005
+USUAL_CHANGES_PAYLOAD = (0.005, 0.05, 0.5)
+USUAL_CHANGES_OTHERS = 3.0
+USUAL_CHANGES_MOST = 12.0
 
 
 def derive_usual_changes(columns: FleetColumns, information: Array, beta: Array) -> Array:
@@ -81,41 +75,35 @@ def derive_usual_changes(columns: FleetColumns, information: Array, beta: Array)
     `information` is what a day gives about the parameters beta.
     """
     found = []
-    payload = np.repeat(USUAL.payload, (6, 3, 1))
+    payload = np.repeat(USUAL_CHANGES_PAYLOAD, (6, 3, 1))
     for source in list_sources(columns):
         places = np.argmax(np.abs(source.design), axis=0)
         clear = np.sqrt(np.einsum("im,ij,jm->m", source.design, information, source.design))
         clear = np.where(clear > 0.0, clear, np.inf)
         present = np.abs(beta[np.minimum(places, len(beta) - 1)])
         sizes = {
-            "friction": USUAL.friction * present,
-            "armature": USUAL.armature * present,
-            GAIN: np.full(len(places), USUAL.gain),
-            TILT: np.full(len(places), USUAL.tilt),
+            "friction": USUAL_CHANGES_FRICTION * present,
+            "armature": USUAL_CHANGES_ARMATURE * present,
+            GAIN: np.full(len(places), USUAL_CHANGES_GAIN),
+            TILT: np.full(len(places), USUAL_CHANGES_TILT),
             PAYLOAD: payload,
         }
-        size = sizes.get(source.effect, USUAL.others / clear)
-        found.append(source.design * np.minimum(size, USUAL.most / clear))
+        size = sizes.get(source.effect, USUAL_CHANGES_OTHERS / clear)
+        found.append(source.design * np.minimum(size, USUAL_CHANGES_MOST / clear))
     return np.hstack(found)
 
 
-@dataclass(frozen=True, slots=True)
-class DirectionRules:
-    """Say which directions are kept; own choices, on virtual fleets of two types.
+# Say which directions are kept; own choices, on virtual fleets of two types.
+#
+# `DIRECTION_WEAKEST` is the least size of a usual change along a direction in standard errors of a
+# day; `DIRECTION_MOST` directions; `DIRECTION_DAYS_EACH` is the least number of days of the fleet
+# for each; `DIRECTION_DAYS_OF_NOISE` of each robot give the noise.
 
-    `weakest` is the least size of a usual change along a direction in standard errors of a day;
-    `most` directions; `days_each` is the least number of days of the fleet for each;
-    `days_of_noise` of each robot give the noise.
-    """
-
-    weakest: float = 1.0
-    most: int = 32
-    days_each: float = 4.0
-    iterations: int = 4
-    days_of_noise: int = 4
-
-
-RULES = DirectionRules()
+DIRECTION_WEAKEST = 1.0
+DIRECTION_MOST = 32
+DIRECTION_DAYS_EACH = 4.0
+DIRECTION_ITERATIONS = 4
+DIRECTION_DAYS_OF_NOISE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +161,7 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     rms = np.median(np.sqrt(energies / samples[:, None]), axis=0)
     weights = 1.0 / np.maximum(rms, 1e-300)
     floor = 1e-9 / float(weights.min())
-    for _ in range(RULES.iterations):
+    for _ in range(DIRECTION_ITERATIONS):
         own = [columns.fit(total, weights, zero) for total in totals]
         weights = 1.0 / np.maximum(_estimate_noise(columns, robots, weights, own), floor)
     beta = np.median(own, axis=0)
@@ -184,8 +172,8 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     J += 1e-12 * np.diag(np.diag(J))
     changes = derive_usual_changes(columns, J, beta)
     _, sizes, right = np.linalg.svd(Scaled(J).root @ changes, full_matrices=False)
-    most = min(RULES.most, max(3, int(n_days / RULES.days_each)))
-    kept = np.flatnonzero(sizes >= min(RULES.weakest, sizes[0]))[:most]
+    most = min(DIRECTION_MOST, max(3, int(n_days / DIRECTION_DAYS_EACH)))
+    kept = np.flatnonzero(sizes >= min(DIRECTION_WEAKEST, sizes[0]))[:most]
     return Directions(columns, weights, changes @ right[kept].T / sizes[kept], beta)
 
 
@@ -199,7 +187,7 @@ def _estimate_noise(
     found = []
     spent = columns.base.n_base / columns.n_joints
     for days, toward in zip(robots, betas, strict=True):
-        for day in days[:: max(1, len(days) // RULES.days_of_noise)]:
+        for day in days[:: max(1, len(days) // DIRECTION_DAYS_OF_NOISE)]:
             own = columns.fit(day.equations, weights, toward)
             freedom = max(day.n_samples - spent, 0.1 * day.n_samples)
             found.append(np.sqrt(columns.residual_energy(day.equations, own) / freedom))

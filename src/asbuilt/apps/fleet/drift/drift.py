@@ -117,7 +117,7 @@ class FleetDrift:
     @property
     def changed(self) -> tuple[RobotDrift, ...]:
         """The robots that changed."""
-        return tuple(each for each in self.robots if each.changed)
+        return tuple(robot for robot in self.robots if robot.changed)
 
     def as_document(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -127,8 +127,10 @@ class FleetDrift:
             "robots": make_plain(self.robots),
             "types": make_plain(self.types),
             "false_discovery_rate": self.false_discovery_rate,
-            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
-            "findings": [each.as_dict() for each in self.findings],
+            "warnings": [
+                {"code": finding.code, "message": finding.text} for finding in self.findings
+            ],
+            "findings": [finding.as_dict() for finding in self.findings],
         }
 
 
@@ -179,7 +181,7 @@ def fleet_drift(
 
         def read(robot_id: str, own: TypeSettings = settings) -> tuple[Day, ...]:
             entries = opened.entries(robot_id, types=types)
-            return merge_by_day(make_day(each) for each in entries if each.settings is own)
+            return merge_by_day(make_day(entry) for entry in entries if entry.settings is own)
 
         rows, kind = scan_type(
             settings.robot_type,
@@ -255,7 +257,7 @@ def scan_type(
     return rows, TypeVariation(
         robot_type,
         len(histories),
-        sum(each.n_days for each in histories.values()),
+        sum(history.n_days for history in histories.values()),
         directions.count,
         variation.autocorrelation,
         _measure_variation_torque(directions, variation, sound),
@@ -276,13 +278,13 @@ def conclude_drift(
     findings: Sequence[Finding] = (),
 ) -> FleetDrift:
     """Decide which robots changed, at the false discovery rate over all of them."""
-    tested = {each.id: each.p_value for each in robots if each.p_value is not None}
+    tested = {robot.id: robot.p_value for robot in robots if robot.p_value is not None}
     rates = benjamini_hochberg(list(tested.values())).tolist()
     rate_of = dict(zip(tested, rates, strict=True))
     level = options.false_discovery_rate
-    decided = [_decide_change(each, rate_of.get(each.id), level) for each in robots]
+    decided = [_decide_change(robot, rate_of.get(robot.id), level) for robot in robots]
     decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
-    few = [each.id for each in robots if each.p_value is None]
+    few = [robot.id for robot in robots if robot.p_value is None]
     shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
     without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
     possible = (

@@ -23,23 +23,18 @@ from asbuilt.identification import (
 from asbuilt.scaled import Scaled
 from asbuilt.tables import format_plus_minus, round_significant
 
+# Say how many effects of a change are named.
+#
+# What the worth of two effects differs by less than `CHANGE_SAME` of it is rounding. Chance takes
+# any but the first with probability `CHANGE_LEVEL`, over all candidates, and an effect explains
+# `CHANGE_NAMED` of the change at least.
 
-@dataclass(frozen=True, slots=True)
-class ChangeRules:
-    """Say how many effects of a change are named.
-
-    What the worth of two effects differs by less than `same` of it is rounding. Chance takes any
-    but the first with probability `level`, over all candidates, and an effect explains `named` of
-    the change at least.
-    """
-
-    most: int = 3
-    same: float = 1e-6
-    level: float = 0.05
-    named: float = 0.06
+CHANGE_MOST = 3
+CHANGE_SAME = 1e-6
+CHANGE_LEVEL = 0.05
+CHANGE_NAMED = 0.06
 
 
-CHANGE = ChangeRules()
 OF_A_DIFFERENCE = 1e-8
 """Eigenvalue of scaled information, relative to the largest, that counts here: what the directions
 of usual variation explain was subtracted, which leaves less digits than `Scaled` relies on."""
@@ -109,8 +104,8 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
     taken: list[Source] = []
     reached = 0.0
     rank = 0
-    while len(taken) < CHANGE.most:
-        left = [each for each in sources if not any(_has_overlap(each, own) for own in taken)]
+    while len(taken) < CHANGE_MOST:
+        left = [source for source in sources if not any(_has_overlap(source, own) for own in taken)]
         fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
         gains = np.array([fit[0] for fit in fits]) - reached
         ranks = [fit[3] - rank for fit in fits]
@@ -119,9 +114,9 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
             evaluate_worth(0.5 * g / spread, m) for g, m in zip(gains.tolist(), ranks, strict=True)
         ]
         # Of effects that explain the same, as links and a payload of few joints do, the first.
-        best = int(np.flatnonzero(np.array(worth) >= max(worth) - CHANGE.same * abs(max(worth)))[0])
+        best = int(np.flatnonzero(np.array(worth) >= max(worth) - CHANGE_SAME * abs(max(worth)))[0])
         chance = float(chdtrc(max(ranks[best], 1), max(gains[best], 0.0) / spread)) * len(left)
-        if taken and (chance > CHANGE.level or gains[best] < CHANGE.named * whole):
+        if taken and (chance > CHANGE_LEVEL or gains[best] < CHANGE_NAMED * whole):
             break
         taken.append(left[best])
         reached = fits[best][0]

@@ -114,7 +114,7 @@ def estimate_variation(histories: Sequence[History]) -> Variation:
     Robust Statistics, 1981, chapter 8).
     """
     coefficients = _fit_temperature(histories)
-    found = [each.without(coefficients) for each in histories]
+    found = [history.without(coefficients) for history in histories]
     r = found[0].score.shape[1]
     V = _estimate_first(found)
     inflations = np.ones(len(found))
@@ -125,13 +125,13 @@ def estimate_variation(histories: Sequence[History]) -> Variation:
             _split_history(each, scan(each.information, each.score, V, inflation=s))
             for each, s in zip(found, inflations.tolist(), strict=True)
         ]
-        counts = np.array([sum(len(score) - 1 for _, score in each) for each in parts])
+        counts = np.array([sum(len(score) - 1 for _, score in part) for part in parts])
         degrees = float(counts.sum())
         if not degrees:
             return Variation(V, 0.0, inflations, 0.0, coefficients, NullDistribution.theoretical(r))
         for _ in range(STEPS):
-            V = _step_scoring([segment for each in parts for segment in each], V)
-        whitened = [[_whiten_residuals(J, s, V) for J, s in each] for each in parts]
+            V = _step_scoring([segment for part in parts for segment in part], V)
+        whitened = [[_whiten_residuals(J, s, V) for J, s in part] for part in parts]
         own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
         rho = _estimate_autocorrelation([z for each in whitened for z in each])
         inflations = np.maximum((r * OWN_DAYS + own) / (r * (OWN_DAYS + counts)), 1.0)
@@ -173,7 +173,7 @@ def _simulate_null_distribution(
 def _estimate_first(histories: Sequence[History]) -> Array:
     """Return the covariance of differences of neighbouring days, far ones with less weight."""
     r = histories[0].score.shape[1]
-    differences = [np.diff(each.estimates, axis=0) / np.sqrt(2.0) for each in histories]
+    differences = [np.diff(history.estimates, axis=0) / np.sqrt(2.0) for history in histories]
     steps = np.concatenate(differences)
     if not len(steps):
         return np.zeros((r, r))
@@ -267,11 +267,11 @@ def _fit_temperature(histories: Sequence[History]) -> Array:
     r = histories[0].score.shape[1]
     rows = [np.zeros((0, c))]
     targets = [np.zeros((0, r))]
-    for each in histories:
-        known = np.isfinite(each.covariates).all(axis=1)
+    for history in histories:
+        known = np.isfinite(history.covariates).all(axis=1)
         if known.sum() >= 3:
-            rows.append(np.diff(each.covariates[known], axis=0))
-            targets.append(np.diff(each.estimates[known], axis=0))
+            rows.append(np.diff(history.covariates[known], axis=0))
+            targets.append(np.diff(history.estimates[known], axis=0))
     X = np.concatenate(rows)
     Y = np.concatenate(targets)
     if len(X) < 10 * c or not np.any(X):

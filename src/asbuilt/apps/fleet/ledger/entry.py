@@ -226,7 +226,7 @@ def _list_covariates(entry: Entry, first: int, block: int, joint: int) -> list[d
     for name, values in sorted(entry.covariates.items()):
         at = values[:, joint]
         if first == WHOLE:
-            counts = np.array([each.n_samples for each in entry.information.blocks], dtype=float)
+            counts = np.array([block.n_samples for block in entry.information.blocks], dtype=float)
             known = np.isfinite(at)
             value = float(np.average(at[known], weights=counts[known])) if known.any() else np.nan
         else:
@@ -328,9 +328,9 @@ def _read_covariates(frame: pl.DataFrame, information: SquareRootInformation) ->
     shape = (information.n_blocks, information.n_joints)
     found: dict[str, Array] = {}
     for row, covariates in enumerate(frame["covariates"].to_list()):
-        for each in covariates or ():
-            values = found.setdefault(each["name"], np.full(shape, np.nan))
-            values[divmod(row, information.n_joints)] = each["value"]
+        for covariate in covariates or ():
+            values = found.setdefault(covariate["name"], np.full(shape, np.nan))
+            values[divmod(row, information.n_joints)] = covariate["value"]
     return found
 
 

@@ -60,10 +60,10 @@ class Ledger:
     def types(self) -> dict[str, TypeSettings]:
         """Return the settings of each robot type: the first of the latest generation."""
         found: dict[str, TypeSettings] = {}
-        for each in self.all_settings():
-            known = found.get(each.robot_type)
-            if known is None or each.generation > known.generation:
-                found[each.robot_type] = each
+        for setting in self.all_settings():
+            known = found.get(setting.robot_type)
+            if known is None or setting.generation > known.generation:
+                found[setting.robot_type] = setting
         return found
 
     def all_settings(self) -> Iterator[TypeSettings]:

@@ -37,8 +37,8 @@ def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInf
     groups = list(pairwise(edges))
     with use_one_blas_thread():
         factors = tuple(
-            np.array([merge_factors(each[first:last]) for first, last in groups])
-            for each in information.factors
+            np.array([merge_factors(factor[first:last]) for first, last in groups])
+            for factor in information.factors
         )
     sums = [information.torque_sum[first:last].sum(axis=0) for first, last in groups]
     times = [TimeBlock.spanning(information.blocks[first:last]) for first, last in groups]

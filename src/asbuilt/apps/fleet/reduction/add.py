@@ -234,9 +234,9 @@ def conclude_addition(
             Finding(
                 "ledger_settings_fixed",
                 "info",
-                f"Fixed for all logs of {each.robot_type}: {each.chosen[0]}",
+                f"Fixed for all logs of {setting.robot_type}: {setting.chosen[0]}",
             )
-            for each in settings
+            for setting in settings
         ]
     for robot_id in sorted({each.robot_id for each in ordered if each.added}):
         findings += report_suspicions(ledger, robot_id)
@@ -264,7 +264,7 @@ def make_reachable(
     Those run in other folders than this process.
     """
     root = str(ledger)
-    paths = [Path(each) for each in logs]
+    paths = [Path(log) for log in logs]
     sheet = reading.sheet
     if fleet.scheduler is None:
         return root, paths, reading
@@ -281,7 +281,7 @@ def group_recording_files(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
     """Return the files of each recording, sorted, missing ones too."""
     if not logs:
         raise UsageError("no log is given; give at least one")
-    paths = sorted({Path(each) for each in logs})
+    paths = sorted({Path(log) for log in logs})
     groups = [tuple(group) for group in group_files([path for path in paths if path.exists()])]
     return sorted([*groups, *((path,) for path in paths if not path.exists())])
 

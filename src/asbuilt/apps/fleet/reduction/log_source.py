@@ -205,7 +205,7 @@ def choose_settings(
     chain = prepared.chain or SignalChain()
     names = join_names([files[0].name for files in logs], most=3)
     cutoff = "" if chain.cutoff is None else f", cutoff {chain.cutoff:.3g} Hz"
-    late = ", ".join(f"{1e3 * each:.3g}" for each in chain.delays)
+    late = ", ".join(f"{1e3 * delay:.3g}" for delay in chain.delays)
     delay = f", torque {late} ms late" if late else ""
     return TypeSettings(
         robot_type=robot_type or name_robot_type(described),

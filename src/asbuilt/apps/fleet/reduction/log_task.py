@@ -34,25 +34,20 @@ from asbuilt.identification import (
     accumulate_stream,
 )
 
+# Hold how a log is reduced, and when it differs from the logs of its type.
 
-@dataclass(frozen=True, slots=True)
-class LogRules:
-    """Hold how a log is reduced, and when it differs from the logs of its type."""
-
-    blocks: int = 16
-    """Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
-    other_cutoff: float = 1.5
-    """Ratio from which a log's cutoff is named as differing from the cutoff of its type."""
-    other_position: float = 5e-3
-    """Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
-    beginning: int = 60_000
-    """Samples from which a type is settled: those read first of a long recording."""
-    checked_seconds: float = 120.0
-    checked_samples: int = 10_000
-    """Time [s] and samples at the beginning of a log whose check suffices if it finds nothing."""
+# Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all
+LOG_BLOCKS = 16
+# Ratio from which a log's cutoff is named as differing from the cutoff of its type
+LOG_OTHER_CUTOFF = 1.5
+# Difference of positions [rad or m] of a locked joint from which two logs do not merge
+LOG_OTHER_POSITION = 5e-3
+LOG_BEGINNING = 60_000  # Samples from which a type is settled: those read first of a long recording
+LOG_CHECKED_SECONDS = 120.0
+# Time [s] and samples at the beginning of a log whose check suffices if it finds nothing
+LOG_CHECKED_SAMPLES = 10_000
 
 
-RULES = LogRules()
 COVARIATES = ("temperature", "temp")
 """Words in the names of quantities that are kept in addition to the information."""
 
@@ -154,11 +149,11 @@ def reduce_to_entry(
     began, date_from = choose_log_date(
         first, head, task.date, find_sheet(first, task.reading.sheet)[0].date
     )
-    beginning = head.taken(slice(0, RULES.beginning)) if head.n_samples > RULES.beginning else head
+    beginning = head.taken(slice(0, LOG_BEGINNING)) if head.n_samples > LOG_BEGINNING else head
     codes = _check_beginning(settings, beginning) if task.checked else ()
     (samples,) = prepare(settings.model, [logged], chain=settings.chain, checked=False).training
     tilts = FurtherColumns.tilts(settings.model)
-    seconds = samples.duration / RULES.blocks
+    seconds = samples.duration / LOG_BLOCKS
     information = accumulate_stream(
         settings.model,
         settings.base,
@@ -167,7 +162,7 @@ def reduce_to_entry(
         threads=1,
         further=tilts,
     )
-    information = merge_blocks(information, 2 * RULES.blocks)
+    information = merge_blocks(information, 2 * LOG_BLOCKS)
     entry = Entry(
         robot_id=task.robot_id,
         settings=settings,
@@ -194,7 +189,7 @@ def check_other_settings(
     kept = replace(settings.asked_chain, rests=True)  # standstill speeds, unused here, take longer
     wanted = resolve_chain(kept, head).cutoff or 0.0
     ratio = wanted / settings.chain.cutoff
-    if 1.0 / RULES.other_cutoff < ratio < RULES.other_cutoff:
+    if 1.0 / LOG_OTHER_CUTOFF < ratio < LOG_OTHER_CUTOFF:
         return ()
     return (
         Finding(
@@ -235,8 +230,8 @@ def _check_beginning(settings: TypeSettings, beginning: Recording) -> tuple[str,
 
     All of a beginning is checked only if something is found in the first part of it.
     """
-    early = int(np.count_nonzero(beginning.t - beginning.t[0] < RULES.checked_seconds))
-    enough = max(RULES.checked_samples, early)
+    early = int(np.count_nonzero(beginning.t - beginning.t[0] < LOG_CHECKED_SECONDS))
+    enough = max(LOG_CHECKED_SAMPLES, early)
     if enough < beginning.n_samples:
         first = check_recording(settings.model, beginning.taken(slice(0, enough)))
         if not (first.errors or first.warnings):
@@ -259,7 +254,7 @@ def _read_settings(root: str, path: str) -> TypeSettings:
 def check_type(ledger: Ledger, robot_id: str, described: RobotModel, robot_type: str) -> None:
     """Raise `RecordingError` if the ledger has a robot of another type under this identity."""
     known = {name.settings for name in ledger.names(robot_id)}
-    types = {each.digest: each for each in ledger.all_settings()} if known else {}
+    types = {setting.digest: setting for setting in ledger.all_settings()} if known else {}
     for other in (types[digest] for digest in sorted(known & types.keys())):
         if other.robot_type != robot_type:
             raise RecordingError(
@@ -280,7 +275,7 @@ def _check_fits(path: Path, model: RobotModel, head: Recording, settings: TypeSe
         )
     for joint, held in settings.model.locked_joints.items():
         here = model.locked_joints.get(joint, held)
-        if abs(here - held) > RULES.other_position:
+        if abs(here - held) > LOG_OTHER_POSITION:
             raise RecordingError(
                 f"{path} was recorded with {joint} at {here:.4g}; the logs of"
                 f" {settings.robot_type} have it at {held:.4g}",

@@ -117,7 +117,7 @@ def _group_by_type(
     recordings: Sequence[tuple[Path, ...]],
 ) -> tuple[dict[str, list[tuple[tuple[Path, ...], EntryName]]], list[LogReport]]:
     """Return the logs of each type with the entry of each, and reports of those without."""
-    type_of = {each.digest: each.robot_type for each in ledger.all_settings()}
+    type_of = {setting.digest: setting.robot_type for setting in ledger.all_settings()}
     entry_of = {
         name.source: name
         for robot_id in ledger.robot_ids()

@@ -83,7 +83,7 @@ def read_solids(
             _read_solid(element, name, link, pose, kind, searched, source)
             for kind in (prefer, other)
         ]
-        usable = [each for each in solids if each is not None]
+        usable = [solid for solid in solids if solid is not None]
         if usable:
             best = min(usable, key=lambda each: (bool(each.missing), not each.closed))
             found.append(best if best is usable[0] else _replace_preferred(best, usable[0]))
@@ -131,15 +131,15 @@ def _read_solid(
         bodies.append(MeshSolid(solid.inertia.moved(whole), corners, solid.doubts, solid.closed))
     if not bodies and not missing:
         return None
-    total = np.sum([each.inertia.parameters for each in bodies], axis=0) if bodies else np.zeros(10)
+    total = np.sum([body.inertia.parameters for body in bodies], axis=0) if bodies else np.zeros(10)
     return LinkSolid(
         name,
         link,
         kind,
         LinkInertia(total),
-        np.concatenate([each.corners for each in bodies]) if bodies else np.zeros((0, 3)),
-        (*doubts, *(doubt for each in bodies for doubt in each.doubts)),
-        all(each.closed for each in bodies),
+        np.concatenate([body.corners for body in bodies]) if bodies else np.zeros((0, 3)),
+        (*doubts, *(doubt for body in bodies for doubt in body.doubts)),
+        all(body.closed for body in bodies),
         tuple(missing),
     )
 

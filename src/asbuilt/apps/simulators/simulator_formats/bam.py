@@ -112,7 +112,7 @@ def derive_directional_coefficients(driving: float, driven: float) -> tuple[floa
 
 def _split_by_direction(terms: Any) -> dict[str, float]:
     moving, slow, (both,) = (
-        [terms.get(key, {}).get(each, 0.0) for each in symbols]
+        [terms.get(key, {}).get(symbol, 0.0) for symbol in symbols]
         for key, symbols in (
             (DIRECTIONAL[0], ("Flm", "Fle")),
             (DIRECTIONAL[1], ("Flsm", "Flse")),

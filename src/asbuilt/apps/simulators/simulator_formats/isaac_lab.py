@@ -81,7 +81,7 @@ class IsaacLab(SimulatorFormat):
             origin=drives.origin,
             kind=kind,
             limit=f"            {holder}=EFFORT_LIMIT,\n" if limited else "",
-            tables="".join(_write_table(name, *each) for name, each in tables.items()),
+            tables="".join(_write_table(name, *table) for name, table in tables.items()),
             delay=drives.delay,
             more=more,
         )
@@ -111,7 +111,7 @@ def _choose_actuator(drives: ExportedDrives) -> tuple[str, str]:
 
 def _write_table(name: str, values: dict[str, float], unit: str) -> str:
     """Return a dictionary as Python text; joint names are regular expressions there."""
-    rows = "".join(f"    {re.escape(joint)!r}: {each!r},\n" for joint, each in values.items())
+    rows = "".join(f"    {re.escape(joint)!r}: {value!r},\n" for joint, value in values.items())
     return f"{name} = {{  # {unit}\n{rows}}}\n"
 
 

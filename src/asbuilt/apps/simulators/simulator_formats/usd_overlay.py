@@ -47,7 +47,7 @@ class UsdOverlay(SimulatorFormat):
         lines += ['    over "joints"', "    {"]
         for joint in model.joints:
             axis = "angular" if joint.is_revolute else "linear"
-            schemas = tuple(each.format(axis=axis) for each in SCHEMAS)
+            schemas = tuple(schema.format(axis=axis) for schema in SCHEMAS)
             lines += _write_over(joint.name, schemas, _write_drive(joint, axis), 2)
         lines += ["    }", "}", ""]
         return "\n".join(lines), (
@@ -95,9 +95,9 @@ def _write_over(
     name: str, schemas: tuple[str, ...], attributes: Iterator[str], depth: int
 ) -> list[str]:
     """Return the lines of an opinion on a prim, so many levels below the root."""
-    listed = ", ".join(f'"{each}"' for each in schemas)
+    listed = ", ".join(f'"{schema}"' for schema in schemas)
     head = [f'over "{make_prim_name(name)}" (', f"    prepend apiSchemas = [{listed}]", ")", "{"]
-    lines = [*head, *(f"    {each}" for each in attributes), "}"]
+    lines = [*head, *(f"    {attribute}" for attribute in attributes), "}"]
     return ["    " * depth + line for line in lines]
 
 

@@ -71,7 +71,7 @@ def choose_channel(
     values = {name: _stack(channel, columns) for name, channel in whole.items()}
     loads = _match_gravity(model, positions, columns, values) if quantity == "torque" else {}
     best = max(loads.values(), default=0.0)
-    scales = {name: _measure_spread(each) for name, each in values.items()}
+    scales = {name: _measure_spread(value) for name, value in values.items()}
     usual = float(np.median([*scales.values()]))
 
     def rank(name: str) -> tuple[bool, ...]:

@@ -329,7 +329,7 @@ def _group_columns(
         {"time"} if len(by_unit.get(("time", ""), ())) > 1 else set()
     )
     followed = sorted(_locate_joints(groups.get(("position", ""), [])))
-    goals = {key: each for key, each in goals.items() if sorted(_locate_joints(each)) == followed}
+    goals = {key: goal for key, goal in goals.items() if sorted(_locate_joints(goal)) == followed}
     by_unit = {key: each for key, each in by_unit.items() if key[0] not in named}
     return {**by_unit, **goals, **groups}
 

@@ -237,7 +237,7 @@ def recognise(name: str) -> Role | None:
     """
     bare, index, unit, _ = _split_unit(_spell(name))
     spans = list(WORD.finditer(bare))
-    words = [each[0].lower() for each in spans]
+    words = [span[0].lower() for span in spans]
     quantity, used = _find_quantity(words)
     others = set(words) - {words[k] for k in used}
     marked = (mark for mark in ("%", "‰") if mark in name)
@@ -279,7 +279,7 @@ def _find_joint(
 
     A joint that `counts` may be called joint_1, and is called so if nothing else is left.
     """
-    words = [each.group().lower() for each in spans]
+    words = [span.group().lower() for span in spans]
     numbers = [k for k in rest if words[k].isdigit()]
     named = len(numbers) > 1 or any(k not in numbers and words[k] not in _MEASURED for k in rest)
     while named and words[rest[0]] in _PREFIXES and len(rest) > 1:
@@ -308,7 +308,7 @@ def find_nanoseconds(name: str, names: Sequence[str]) -> str | None:
     if last not in _SECONDS:
         return None
     wanted = [[*before, last] for last in _NANOSECONDS] + [[*before, "nano", last]]
-    return next((each for each in names if split_words(each) in wanted), None)
+    return next((name for name in names if split_words(name) in wanted), None)
 
 
 def match_commanded_role(name: str, alone: Set[str] = COMMANDS) -> Role | None:

@@ -118,7 +118,7 @@ def draft_sheet(
         "command": None if command is None else spans[command],
         "torque": spans[torques[0]] if torques else None,
     }
-    content["columns"] = {name: each for name, each in entries.items() if each is not None}
+    content["columns"] = {name: entry for name, entry in entries.items() if entry is not None}
     over = len(rest) - n_joints * len(groups)
     if over:
         content["over"] = over
@@ -168,7 +168,7 @@ def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
     Time leads and rises, but may be set back once or twice, or it rises in steps alike elsewhere,
     behind counters and marks; rows out of order are no matter, if time is even when it is sorted.
     """
-    leads = next((k for k, each in enumerate(values) if not _counts_rows(each)), len(values))
+    leads = next((k for k, value in enumerate(values) if not _counts_rows(value)), len(values))
     others = list(range(leads, len(values)))
     first = values[leads] if others else np.empty(0)
     finite = first[np.isfinite(first)]
@@ -178,9 +178,9 @@ def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
     for share in (CLOCK_STEPS[0], EVEN_SORTED):
         for k in others:
             if _is_even(values[k], share):
-                behind = [each for each in others if each > k]
-                marks = all(np.ptp(values[each]) == 0.0 for each in others if each < k)
-                return k, behind if marks else [each for each in others if each != k]
+                behind = [other for other in others if other > k]
+                marks = all(np.ptp(values[other]) == 0.0 for other in others if other < k)
+                return k, behind if marks else [other for other in others if other != k]
     return None, others
 
 
@@ -281,14 +281,14 @@ def _assign_roles(
         np.stack([match_load(model, groups[k], groups, scale) for k in rest])
         for scale in (1.0, DEGREE)
     ]
-    for each in matches:
-        each[range(len(rest)), rest] = 0.0
+    for match in matches:
+        match[range(len(rest)), rest] = 0.0
         if command is not None:
-            each[:, command] = 0.0
+            match[:, command] = 0.0
     if velocity is None and known is None:
         position = rest[int(np.argmax(np.max(matches, axis=(0, 2))))]
         others = [k for k in rest if k != position]
-    plain, in_degrees = (each[rest.index(position)] for each in matches)
+    plain, in_degrees = (match[rest.index(position)] for match in matches)
     degrees = _find_largest(groups[position]) > LARGEST_RADIANS or (
         in_degrees.max() > max(CLEAR_LOAD, plain.max() + CLEARLY_BETTER)
     )

@@ -112,7 +112,7 @@ class _Content(pickle.Unpickler):
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         names = archive.namelist()
-        name = next((each for each in names if each.endswith("data.pkl")), None)
+        name = next((name for name in names if name.endswith("data.pkl")), None)
         if name is None:
             raise ValueError("it has no data.pkl")
         super().__init__(io.BytesIO(archive.read(name)))

@@ -235,7 +235,7 @@ def _read_parts(path: Path, dialect: Dialect) -> Iterator[bytes]:
     def without_comments(rows: bytes) -> bytes:
         if b"#" not in rows:
             return rows
-        return b"".join(each for each in rows.splitlines(True) if not each.startswith(b"#"))
+        return b"".join(line for line in rows.splitlines(True) if not line.startswith(b"#"))
 
     with path.open("rb") as file:
         for _ in range(dialect.skip):

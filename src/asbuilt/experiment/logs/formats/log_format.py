@@ -168,8 +168,8 @@ def choose_log_format(path: Path) -> LogFormat:
 def _find_folder_format(path: Path) -> LogFormat | None:
     """Return the format that recognises a folder, else the one that takes any."""
     of_folders = [each for each in FORMATS.values() if each.folders]
-    certain = (each for each in of_folders if each.recognises and each.recognises(path))
-    return next(certain, next((each for each in of_folders if each.recognises is None), None))
+    certain = (folder for folder in of_folders if folder.recognises and folder.recognises(path))
+    return next(certain, next((folder for folder in of_folders if folder.recognises is None), None))
 
 
 def tabulate_joints(

@@ -201,9 +201,9 @@ def _read_as_ros(logged: int, message: Any) -> tuple[str, Any]:
     given = vars(message) if isinstance(message, SimpleNamespace) else {}
     fields = {key: value for key, value in given.items() if value is not None}
     joints = fields.get("joints")
-    if isinstance(joints, list) and all(isinstance(each, SimpleNamespace) for each in joints):
+    if isinstance(joints, list) and all(isinstance(joint, SimpleNamespace) for joint in joints):
         lists = {
-            key: [getattr(each, key, None) for each in joints]
+            key: [getattr(joint, key, None) for joint in joints]
             for key in ("name", "position", "velocity", "effort")
         }
         fields |= {key: values for key, values in lists.items() if None not in values}
@@ -249,7 +249,10 @@ def _list_fields(value: Any, name: str = "") -> Iterator[tuple[str, Array]]:
     numbers = value if isinstance(value, list) else [value]
     if name and numbers and value is not None and {*map(type, numbers)} <= NUMBERS:
         with suppress(OverflowError):
-            yield name, np.array([np.nan if each is None else float(each) for each in numbers])
+            yield (
+                name,
+                np.array([np.nan if number is None else float(number) for number in numbers]),
+            )
 
 
 FORMATS.register(

@@ -53,7 +53,7 @@ def draw_parameters(result: IdentificationResult, prediction: Prediction | None,
     difference = (result.estimates - cad) / errors
     low, high = ((result.conf_int().T - cad) / errors).reshape(2, -1)
     rows = np.arange(len(difference))
-    determined = np.array([each.determined for each in result.parameters])
+    determined = np.array([parameter.determined for parameter in result.parameters])
     with apply_style():
         # 0.17: height of a parameter's row [inch].
         (axis,) = own = _make_axes(axes, 1, 7.0, 0.17 * len(rows) + 1.0)

@@ -10,8 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.structure.couplings import Coupling
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.formula import Formula
-from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
 
 Matrix = tuple[Vector, ...]

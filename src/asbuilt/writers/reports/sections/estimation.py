@@ -175,7 +175,7 @@ EFFECTS = """\
 
 def _collect_verdict(report: Report) -> dict[str, Any]:
     study = report.study
-    findings = [each for each in study.findings if each.severity != "info"]
+    findings = [finding for finding in study.findings if finding.severity != "info"]
     return {
         "text": study.verdict.text,
         "mood": MOODS[study.verdict.use],

@@ -70,7 +70,7 @@ def _collect_parameters(report: Report) -> dict[str, Any]:
     comparison = report.study.comparison
     return {
         "verdict": comparison.verdict(),
-        "verdicts": list(dict.fromkeys(each.verdict for each in comparison.parameters)),
+        "verdicts": list(dict.fromkeys(parameter.verdict for parameter in comparison.parameters)),
         "rows": [_build_row(parameter) for parameter in comparison.parameters],
         "rule": comparison.rule(),
         "errors": comparison.errors,

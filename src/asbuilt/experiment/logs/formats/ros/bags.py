@@ -51,9 +51,15 @@ def read_ros_bag(path: Path, sheet: RecordingSheet) -> LogTable:
     read = store.deserialize_ros1 if first_ros else store.deserialize_cdr
     messages: dict[str, list[tuple[int, Any]]] = {}
     with _open_bag(path) as bag:
-        types = {each.topic: each.msgtype for each in bag.connections if each.msgtype in KINDS}
+        types = {
+            connection.topic: connection.msgtype
+            for connection in bag.connections
+            if connection.msgtype in KINDS
+        }
         if not types:
-            listing = ", ".join(sorted({each.topic for each in bag.connections})) or "none"
+            listing = (
+                ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
+            )
             raise RecordingError(
                 f"{path} is not a recording: it holds no {JOINT_STATE} message (topics: {listing})",
                 cure=Cure("record the joint states' topic"),
@@ -61,7 +67,7 @@ def read_ros_bag(path: Path, sheet: RecordingSheet) -> LogTable:
             )
         topics = choose_topics(path, types, sheet)
         used = {topics.states, topics.commands, *topics.base}
-        wanted = [each for each in bag.connections if each.topic in used]
+        wanted = [connection for connection in bag.connections if connection.topic in used]
         for connection in wanted:
             _define(path, store, connection)
             messages.setdefault(connection.topic, [])

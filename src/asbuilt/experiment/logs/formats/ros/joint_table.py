@@ -66,7 +66,7 @@ def tabulate_joint_states(
     RecordingError
         If there is neither an effort nor a command, or the commands cannot be used.
     """
-    states = [each for each in states if each.names]
+    states = [state for state in states if state.names]
     if not states:
         listing = ", ".join(sorted(topics.types)) or "none"
         raise RecordingError(
@@ -151,7 +151,7 @@ def _select_commands(
     """
     listed = sheet.command_joints
     path = topics.path
-    sizes = {each.position.size for each in commands if not each.names}
+    sizes = {command.position.size for command in commands if not command.names}
     count = ", ".join(map(str, sorted(sizes)))
     distinct = set(listed or ())
     if sizes and listed is None:
@@ -176,7 +176,8 @@ def _select_commands(
             expected=sorted(sizes),
         )
     commands = [
-        each if each.names else replace(each, names=tuple(listed or ())) for each in commands
+        command if command.names else replace(command, names=tuple(listed or ()))
+        for command in commands
     ]
     others = _find_usual_names(commands) if commands else ()
     if commands and (not {*names} & {*others} or not distinct & {*others} <= {*names}):
@@ -295,11 +296,11 @@ def order_commands(
         If a controller chose the way to the points by itself: they are far apart, or most were
         replaced before their time.
     """
-    after = np.array([each.after for each in commands], dtype=np.int64)
+    after = np.array([command.after for command in commands], dtype=np.int64)
     sent = starts + after
     if after.any():
         period = float(np.median(np.diff(states))) if states.size > 1 else 0.0
-        follows = np.diff([each.logged for each in commands], prepend=-1) == 0
+        follows = np.diff([command.logged for command in commands], prepend=-1) == 0
         gap = int(np.max(after - np.where(follows, np.roll(after, 1), 0)))
         distinct = np.append(np.unique(starts), np.iinfo(np.int64).max)
         kept = np.flatnonzero(sent < distinct[np.searchsorted(distinct, starts, side="right")])
@@ -389,5 +390,5 @@ def _parse_line(line: str) -> JointMessage | None:
     if rest or not names or len(set(names)) < len(names):
         return None
     stamp = int(fields[0]) * 10**9 + int(fields[1])
-    q, qd, tau = (np.array(each, dtype=np.float64) for each in values)
+    q, qd, tau = (np.array(value, dtype=np.float64) for value in values)
     return JointMessage(stamp, stamp, names, q, qd, tau)

@@ -82,8 +82,8 @@ def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
 def _read_dynamic_state(logged: int, message: Any) -> list[JointMessage]:
     """Read the interfaces position, velocity and effort of the joints that have a position."""
     found = {
-        name: dict(zip(each.interface_names, _make_array(each.values), strict=False))
-        for name, each in zip(message.joint_names, message.interface_values, strict=False)
+        name: dict(zip(value.interface_names, _make_array(value.values), strict=False))
+        for name, value in zip(message.joint_names, message.interface_values, strict=False)
     }
     found = {name: values for name, values in found.items() if "position" in values}
     q, qd, tau = (
@@ -96,7 +96,7 @@ def _read_controller_state(logged: int, message: Any, fields: Sequence[str]) -> 
     """Read the first of these points of a controller's state that has positions."""
     names = tuple(message.joint_names)
     points = [getattr(message, field) for field in fields if hasattr(message, field)]
-    point = next((each for each in points if len(each.positions) == len(names)), None)
+    point = next((point for point in points if len(point.positions) == len(names)), None)
     if point is None:
         return []
     q, qd, tau = (_make_array(each) for each in (point.positions, point.velocities, point.effort))
@@ -111,11 +111,11 @@ def _read_points(logged: int, message: Any) -> list[JointMessage]:
             logged,
             stamp,
             names,
-            _make_array(each.positions),
-            after=_count_nanoseconds(each.time_from_start),
+            _make_array(point.positions),
+            after=_count_nanoseconds(point.time_from_start),
         )
-        for each in message.points
-        if len(each.positions) == len(names)
+        for point in message.points
+        if len(point.positions) == len(names)
     ]
 
 
@@ -231,7 +231,7 @@ between them matters: a point that is held is late by half its distance."""
 
 
 def _make_array(values: Any) -> Array:
-    return np.array([np.nan if each is None else float(each) for each in values])
+    return np.array([np.nan if value is None else float(value) for value in values])
 
 
 def _read_stamp(message: Any) -> int:
@@ -308,7 +308,9 @@ def choose_topics(path: Path, types: Mapping[str, str], sheet: RecordingSheet) -
             )
     states = sheet.topic or _find_state_topic(path, types, of_states, sheet.command_topic)
     candidates = tuple(
-        sorted(each for each in of_commands if _holds_commands(each, types[each], states))
+        sorted(
+            command for command in of_commands if _holds_commands(command, types[command], states)
+        )
     )
     controllers = _list_best(candidates, types, [CONTROLLER_STATE])
     best = controllers if len(controllers) == 1 else candidates
@@ -336,20 +338,22 @@ def choose_topics(path: Path, types: Mapping[str, str], sheet: RecordingSheet) -
 
 def _list_best(topics: Iterable[str], types: Mapping[str, str], kinds: Iterable[str]) -> list[str]:
     """Return the topics of the first of these types that any of them has."""
-    by_kind = (sorted(each for each in topics if types[each] == kind) for kind in kinds)
+    by_kind = (sorted(topic for topic in topics if types[topic] == kind) for kind in kinds)
     return next((each for each in by_kind if each), [])
 
 
 def read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.int64]:
     """Return the times of messages [ns], by the clock of their headers or of the recorder."""
-    return np.array([each.stamp if stamped else each.logged for each in messages], dtype=np.int64)
+    return np.array(
+        [message.stamp if stamped else message.logged for message in messages], dtype=np.int64
+    )
 
 
 def is_stamped(messages: Sequence[JointMessage]) -> bool:
     """Return whether the headers of messages have times, which differ as logging times do."""
     stamps = read_times(messages, stamped=True)
     distinct = len(np.unique(stamps))
-    logged = len({each.logged for each in messages})
+    logged = len({message.logged for message in messages})
     unset = int(np.count_nonzero(stamps == 0))
     return unset <= min(1, distinct - 1) and 2 * distinct >= logged
 
@@ -361,9 +365,10 @@ def _find_state_topic(
     if "/joint_states" in of_states:
         return "/joint_states"
     measured = {
-        each
-        for each in of_states
-        if topics[each] == CONTROLLER_STATE or (each != command_topic and not names_command(each))
+        state
+        for state in of_states
+        if topics[state] == CONTROLLER_STATE
+        or (state != command_topic and not names_command(state))
     }
     best = _list_best(measured or of_states, topics, KINDS)
     if len(best) > 1:

@@ -99,20 +99,13 @@ class ExpectedScores:
         return np.outer(moved, moved)
 
 
-@dataclass(frozen=True, slots=True)
-class PoseNoiseRules:
-    """Say how the squares of noise are averaged, and how often scores are found: own choices."""
+# Say how the squares of noise are averaged, and how often scores are found: own choices.
 
-    states: int = 400
-    """States of a recording over which the squares of its noise are averaged."""
-    passes: int = 5
-    """Passes: each leaves the share of the bias that noise has of a direction."""
-    possible: float = 2.0
-    """Share of noise in what was observed of a direction, up to which chance explains that it
-    exceeds 1; beyond, rows are next to zero there, and least squares say nothing of bodies."""
-
-
-RULES = PoseNoiseRules()
+POSE_NOISE_STATES = 400  # States of a recording over which the squares of its noise are averaged
+POSE_NOISE_PASSES = 5  # Passes: each leaves the share of the bias that noise has of a direction
+# Share of noise in what was observed of a direction, up to which chance explains that it exceeds 1;
+# beyond, rows are next to zero there, and least squares say nothing of bodies
+POSE_NOISE_POSSIBLE = 2.0
 
 
 class PoseNoise(NamedTuple):
@@ -151,7 +144,7 @@ def expect_pose_noise(
     root = estimate.solution.inverse_root
     # In whitened parameters the noise's part of the information of each direction.
     share, axes = np.linalg.eigh(root.T @ squares @ root)
-    if np.abs(share).max() > RULES.possible:
+    if np.abs(share).max() > POSE_NOISE_POSSIBLE:
         return uncorrected
     # No direction holds more noise than all that was observed of it.
     share = np.maximum(share, 0.0)
@@ -161,13 +154,15 @@ def expect_pose_noise(
     # Directions with more noise than observed signal get as much as was observed.
     grams = grams @ (np.eye(base.n_base) + (along * (kept - 1.0)) @ of)
     # Each pass adds a power of the share: the series of (1 - share)^-1, cut off.
-    taken = sum(((kept * share) ** k for k in range(1, RULES.passes + 1)), np.zeros(len(share)))
+    taken = sum(
+        ((kept * share) ** k for k in range(1, POSE_NOISE_PASSES + 1)), np.zeros(len(share))
+    )
     before, grown = (
         np.linalg.norm(directions, axis=1) for directions in (along, along * (1.0 + taken))
     )
     growth = np.divide(grown, before, out=np.ones(base.n_base), where=before > 0.0)
     expected: ExpectedScores | None = None
-    for _ in range(RULES.passes):
+    for _ in range(POSE_NOISE_PASSES):
         pairs = zip(grams, information.support, strict=True)
         expected = ExpectedScores(
             names, tuple(-(gram @ estimate.beta)[support] for gram, support in pairs)
@@ -183,7 +178,7 @@ def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) ->
     squares = np.zeros((model.n_joints, base.n_base, base.n_base))
     if not samples.pose_noise or samples.contact is None:
         return squares
-    step = max(1, -(-len(samples.q) // RULES.states))
+    step = max(1, -(-len(samples.q) // POSE_NOISE_STATES))
     q = samples.q[::step]
     contact = samples.contact[::step]
     still = np.zeros_like(q)
@@ -205,21 +200,13 @@ def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) ->
     return squares
 
 
-@dataclass(frozen=True, slots=True)
-class EquationRules:
-    """Say how the noise of equations is found: own choices."""
+# Say how the noise of equations is found: own choices.
 
-    updates: int = 100
-    """Multiplicative updates, of which each brings the variances closer."""
-    fits: int = 3
-    """Fits, each with the noise by the residual of the one before: the last changes 1 %."""
-    largest_ratio: float = 1e3
-    """Largest noise of an equation in units of the least."""
-    samples: int = 2000
-    """Samples of each recording whose projections are averaged."""
-
-
-EQUATIONS = EquationRules()
+EQUATION_UPDATES = 100  # Multiplicative updates, of which each brings the variances closer
+# Fits, each with the noise by the residual of the one before: the last changes 1 %
+EQUATION_FITS = 3
+EQUATION_LARGEST_RATIO = 1e3  # Largest noise of an equation in units of the least
+EQUATION_SAMPLES = 2000  # Samples of each recording whose projections are averaged
 
 
 def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[Samples, ...]:
@@ -237,7 +224,7 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
     group = np.array([int(joint.is_revolute) for joint in model.joints])
     group[model.n_floating :] = 2
     plain = weighted = tuple(samples)
-    for _ in range(EQUATIONS.fits):
+    for _ in range(EQUATION_FITS):
         information = seen if weighted is plain else accumulate_stream(model, base, weighted)
         beta = expect_pose_noise(model, base, weighted, information).beta
         squares = seen.residual_energy(beta) / seen.n_samples
@@ -259,18 +246,18 @@ def solve_equation_variances(shares: Array, squares: Array) -> Array:
     array([4., 1.])
     """
     # A row with no residual would take the whole weight.
-    squares = np.maximum(squares, squares.max() / EQUATIONS.largest_ratio**2)
+    squares = np.maximum(squares, squares.max() / EQUATION_LARGEST_RATIO**2)
     x = np.full(shares.shape[1], float(squares.mean()))
-    for _ in range(EQUATIONS.updates):
+    for _ in range(EQUATION_UPDATES):
         expected = shares @ x
         x = x * np.sqrt((shares.T @ (squares / expected**2)) / (shares.T @ (1.0 / expected)))
-    return np.asarray(np.maximum(x, x.max() / EQUATIONS.largest_ratio**2))
+    return np.asarray(np.maximum(x, x.max() / EQUATION_LARGEST_RATIO**2))
 
 
 def _average_squared_projection(model: RobotModel, samples: Samples) -> Array:
     """Return the mean of `P_kj^2` (n, n) over samples."""
     assert samples.contact is not None
-    at = np.linspace(0, samples.t.size - 1, min(EQUATIONS.samples, samples.t.size)).astype(np.int64)
+    at = np.linspace(0, samples.t.size - 1, min(EQUATION_SAMPLES, samples.t.size)).astype(np.int64)
     basis = contact_basis(model, samples.q[at], samples.contact[at])
     # P = 1 - Q^T Q with an orthonormal basis Q of what contacts act on.
     P = np.eye(model.n_joints) - np.einsum("ikn,ijn->nkj", basis, basis)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,37 +16,32 @@ from asbuilt.identification.bodies.consistency import (
     decide_consistency,
     non_passive_drives,
 )
-from asbuilt.identification.errors.bias import OmittedBias
-from asbuilt.identification.errors.block_scatter import TELLING_GROWTH
-from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
-from asbuilt.identification.errors.uncertainty import (
-    Uncertainty,
-    estimate_block_uncertainty,
-    fit_free_values,
-)
 from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
+from asbuilt.identification.uncertainty.bias import OmittedBias
+from asbuilt.identification.uncertainty.block_scatter import TELLING_GROWTH
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearErrors
+from asbuilt.identification.uncertainty.uncertainty import (
+    Uncertainty,
+    estimate_block_uncertainty,
+    fit_free_values,
+)
 from asbuilt.tables import format_plus_minus
 
+# Say when a parameter is poorly determined: both must hold; own choice.
+#
+# `POOR_DETERMINATION_RELATIVE_ERROR` is the standard error as a fraction of the larger of estimate
+# and CAD value, `POOR_DETERMINATION_TORQUE` the torque it stands for as a fraction of the residual.
 
-@dataclass(frozen=True, slots=True)
-class PoorDetermination:
-    """Say when a parameter is poorly determined: both must hold; own choice.
-
-    `relative_error` is the standard error as a fraction of the larger of estimate and CAD value,
-    `torque` the torque it stands for as a fraction of the residual.
-    """
-
-    relative_error: float = 0.5
-    torque: float = 0.05
+POOR_DETERMINATION_RELATIVE_ERROR = 0.5
+POOR_DETERMINATION_TORQUE = 0.05
 
 
-POOR = PoorDetermination()
 MOST_DIRECTIONS = 6
 MOST_NAMES = 12
 
@@ -217,7 +211,9 @@ def _find_poorly_determined(
         axis=0,
     )
     torque = error * column / np.sqrt(information.n_samples)
-    return np.asarray((error > POOR.relative_error * size) & (torque > POOR.torque))
+    return np.asarray(
+        (error > POOR_DETERMINATION_RELATIVE_ERROR * size) & (torque > POOR_DETERMINATION_TORQUE)
+    )
 
 
 def report_estimation(

@@ -52,7 +52,7 @@ def measure_recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
     """Return the standard deviations of velocities and accelerations of samples, each (n,)."""
     count = 0
     sums = np.zeros((2, 1))
-    for batch, span in ((each, span) for each in samples for span in each.spans()):
+    for batch, span in ((sample, span) for sample in samples for span in sample.spans()):
         rates = (batch.qd[span], batch.qdd[span])
         found = [
             np.concatenate([rate.sum(axis=0) for rate in rates]),

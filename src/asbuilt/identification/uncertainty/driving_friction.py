@@ -6,10 +6,10 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.findings import join_names
-from asbuilt.identification.errors.bias import OmittedBias, derive_estimate_moves
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.uncertainty.bias import OmittedBias, derive_estimate_moves
 from asbuilt.scaled import Scaled
 
 

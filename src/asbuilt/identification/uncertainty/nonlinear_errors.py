@@ -14,10 +14,10 @@ from asbuilt.dynamics import BaseParameters, DriveSet, drive_torque, inverse_dyn
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import divide_into_blocks
 from asbuilt.identification.result.torque_prediction import expand_parameters
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 from asbuilt.scaled import Scaled
 from asbuilt.tables import round_with_error
 

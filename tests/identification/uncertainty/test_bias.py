@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.identification.errors.bias import (
+from asbuilt.identification.uncertainty.bias import (
     derive_estimate_moves,
     shrink_effects,
 )

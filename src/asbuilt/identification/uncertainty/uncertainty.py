@@ -11,7 +11,12 @@ from asbuilt.arrays import Array
 from asbuilt.codec import store_as
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import ResultError
-from asbuilt.identification.errors.block_scatter import (
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.held_out import group_different_motions
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import pack_triangle, unpack_symmetric
+from asbuilt.identification.uncertainty.block_scatter import (
     BlockScatter,
     BlockScores,
     CommonGrowth,
@@ -20,11 +25,6 @@ from asbuilt.identification.errors.block_scatter import (
     estimate_common_growth,
     widening,
 )
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import group_different_motions
-from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import pack_triangle, unpack_symmetric
 
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""

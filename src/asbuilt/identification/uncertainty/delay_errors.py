@@ -17,12 +17,16 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.block_scatter import BlockScores
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_scatter, unit_variance
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
 from asbuilt.identification.result.torque_prediction import predict_in_spans
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import (
+    FEWEST_BLOCKS,
+    estimate_scatter,
+    unit_variance,
+)
 from asbuilt.scaled import Scaled
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,36 +13,27 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification.errors.block_scatter import COVERED
-from asbuilt.identification.errors.uncertainty import (
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
+from asbuilt.identification.information.estimate import Estimate, Refit
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.uncertainty.block_scatter import COVERED
+from asbuilt.identification.uncertainty.uncertainty import (
     FEWEST_BLOCKS,
     Uncertainty,
     block_scores,
     choose_error_basis,
 )
-from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
-from asbuilt.identification.information.estimate import Estimate, Refit
-from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import triangular_factor
 
 Seed = np.random.Generator | int | None
 
 
-@dataclass(frozen=True, slots=True)
-class DrawRules:
-    """Hold how many draws a bootstrap makes, and which are valid."""
+# Hold how many draws a bootstrap makes, and which are valid.
 
-    linear_draws: int = 1000
-    """Draws of an estimate that is linear in the torque."""
-    refitted_draws: int = 200
-    """Draws of any other estimate, each of which is a fit of its own."""
-    least_information: float = 1e-6
-    """Part of the information in every direction that a valid draw has."""
-    most_failures: float = 0.1
-    """Largest share of invalid draws."""
-
-
-DRAWS = DrawRules()
+DRAW_LINEAR_DRAWS = 1000  # Draws of an estimate that is linear in the torque
+DRAW_REFITTED_DRAWS = 200  # Draws of any other estimate, each of which is a fit of its own
+DRAW_LEAST_INFORMATION = 1e-6  # Part of the information in every direction that a valid draw has
+DRAW_MOST_FAILURES = 0.1  # Largest share of invalid draws
 
 
 @use_one_blas_thread()
@@ -79,7 +70,7 @@ def redraw(
             ),
         )
     draws = (
-        (DRAWS.linear_draws if estimate.refit is None else DRAWS.refitted_draws)
+        (DRAW_LINEAR_DRAWS if estimate.refit is None else DRAW_REFITTED_DRAWS)
         if n_draws is None
         else n_draws
     )
@@ -90,7 +81,7 @@ def redraw(
         else _refit_draws(information, estimate.weights, estimate.refit, counts)
     )
     refused = draws - len(estimates)
-    if refused > DRAWS.most_failures * draws or len(estimates) < 2:
+    if refused > DRAW_MOST_FAILURES * draws or len(estimates) < 2:
         raise IdentifiabilityError(
             f"{refused} of {draws} bootstrap draws of {n} time blocks do not determine what the"
             " whole recording determines, since single blocks have information that others lack",
@@ -112,7 +103,7 @@ def _step_estimates(
     for extra in counts - 1.0:
         # 1 + sum (c_b - 1) M_b: its eigenvalues are the information left along each direction.
         values, axes = np.linalg.eigh(np.eye(root.shape[1]) + np.tensordot(extra, gram, axes=1))
-        if values.min(initial=1.0) >= DRAWS.least_information:
+        if values.min(initial=1.0) >= DRAW_LEAST_INFORMATION:
             estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
     return estimates
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
 from asbuilt.description.sibling import Sibling, read_sibling
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.identification.bodies.known_masses import (
     link_masses_from_text,
@@ -19,8 +19,8 @@ from asbuilt.identification.bodies.known_masses import (
     with_known_masses,
 )
 from asbuilt.identification.effects.wanted import EffectsWanted
-from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.ranges import Range
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.identification.errors.pose_noise import solve_equation_variances
+from asbuilt.identification.uncertainty.pose_noise import solve_equation_variances
 
 
 def test_variances_of_drawn_noise_are_found() -> None:

@@ -17,10 +17,10 @@ from asbuilt.identification import (
     estimate_block_uncertainty,
     fit_least_squares,
 )
-from asbuilt.identification.errors.block_scatter import BlockScores
-from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
 
 MODEL = load_robot("scara")
 BASE = find_base_parameters(MODEL, DriveSet.parse("viscous,offset"))

@@ -14,20 +14,20 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification import Effects, IdentificationResult
 from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.report import (
+from asbuilt.identification.effects.effect_findings import (
     as_by_encoders,
     as_identified,
     describe_stated,
     report_effects,
 )
-from asbuilt.identification.errors.bias import OmittedBias, report_position_noise
-from asbuilt.identification.errors.driving_friction import doubt_driving_friction
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
+from asbuilt.identification.uncertainty.bias import OmittedBias, report_position_noise
+from asbuilt.identification.uncertainty.driving_friction import doubt_driving_friction
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
@@ -44,8 +44,8 @@ from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import describe_servo_torque, report_servo
+from asbuilt.workflow.study_options import StudyOptions
 
 GAINS_ASSUMED = Finding(
     "gains_assumed",
@@ -120,14 +120,11 @@ def conclude_study(
         # Values that have not seen what was held out are stored, for later validation on it.
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
-    lacking = fits.effects.lacking
     # Bias by effects that are not in the model widens the errors of the result.
-    omitted = _join_biases(
-        None if lacking is None else lacking.bias(fits.final), _doubt_friction(fits.final)
-    )
+    omitted = _join_biases(fits.final.omitted, _doubt_friction(fits.final))
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
-        *(as_identified(effect, result) for effect in named),
+        *(as_identified(effect, fits.final, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
     bounded = bound_effects(result, effects)

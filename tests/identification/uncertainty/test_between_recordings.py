@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.identification.errors.test_common_growth import (
+from tests.identification.uncertainty.test_common_growth import (
     BASE,
     MODEL,
     QD,
@@ -23,8 +23,8 @@ from asbuilt.identification import (
     fit_least_squares,
     widening,
 )
-from asbuilt.identification.errors.uncertainty import estimate_recording_variances
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 
 WEIGHTS = np.ones(MODEL.n_joints)
 

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.arrays import Indices
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics import BaseParameters
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
 from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.effects.search import Effects
+from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.information.held_out import (
     divide_into_folds,
@@ -87,10 +89,12 @@ def _report_unseen(effects: Effects) -> Iterator[Finding]:
             yield effect.unseen(join_names(sized))
 
 
-def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffect:
+def as_identified(found: FoundEffect, fit: Fit, result: IdentificationResult) -> FoundEffect:
     """Return an effect with value and error of the result, if it is a parameter of its model.
 
-    So that tables of effects and of parameters have one number.
+    So that tables of effects and of parameters have one number. Where the result's error would not
+    let it be there, since the value has a known bias by what the model lacks, it has the value next
+    to that, and the text both.
     """
     effect = EFFECTS.get(found.effect)
     if not (found.in_model and isinstance(effect, DriveEffect)) or found.joint is None:
@@ -99,16 +103,50 @@ def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffe
     places = find_places(result.base, found.effect, k)
     if not places.size:
         return found
-    return effect.found(
+    revolute = result.model.joints[k].is_revolute
+    own = result.estimates[places], result.covariance[np.ix_(places, places)]
+    beside = fit.next_to_omitted(places)
+    hidden = is_sure(*beside) and not is_sure(*own)
+    known = effect.found(
         found.joint,
-        result.estimates[places],
-        result.covariance[np.ix_(places, places)],
-        revolute=result.model.joints[k].is_revolute,
+        *(beside if hidden else own),
+        revolute=revolute,
         in_model=True,
         torque=found.torque,
         errors=(found.error_before, found.error_after),
         alternatives=found.alternatives,
     )
+    if not hidden:
+        return known
+    size, _, _ = effect.size(*own, revolute=revolute)
+    whole = effect.text_of(size, None, revolute=revolute)
+    stands_for = f" ({whole} in the model, which lacks other effects that act alike)"
+    return replace(known, text=known.text.replace(": torque error", f"{stands_for}: torque error"))
+
+
+def list_term_places(
+    found: Iterable[FoundEffect], base: BaseParameters, joint_names: Sequence[str]
+) -> Iterator[tuple[FoundEffect, Indices]]:
+    """Yield effects of a model that are there or not by the values of drive terms, with places.
+
+    That another form of friction is zero is no question, and forms with nonlinear parameters have
+    values.
+    """
+    for effect in found:
+        term = getattr(EFFECTS[effect.effect], "term", None)
+        if not effect.in_model or effect.joint is None or term is None:
+            continue
+        if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
+            continue
+        places = find_places(base, effect.effect, joint_names.index(effect.joint))
+        if places.size:
+            yield effect, places
+
+
+def is_sure(values: Array, covariance: Array) -> bool:
+    """Return whether values (m,) are two standard errors or more from zero, by the parameter."""
+    square = float(values @ np.linalg.pinv(covariance) @ values)
+    return square >= RULES.two_errors**2 * len(values)
 
 
 def as_by_encoders(found: FoundEffect, result: IdentificationResult) -> FoundEffect:
@@ -117,7 +155,7 @@ def as_by_encoders(found: FoundEffect, result: IdentificationResult) -> FoundEff
     The twist of the drive shows the torque behind the rotor, so that it alone is determined where
     torques determine its sum with the link: one rotor has one number.
     """
-    pair = next((each for each in result.encoders if each.joint == found.joint), None)
+    pair = next((encoder for encoder in result.encoders if encoder.joint == found.joint), None)
     if found.effect != "armature" or pair is None or pair.rotor is None or not pair.rotor_error:
         return found
     return EFFECTS[found.effect].found(

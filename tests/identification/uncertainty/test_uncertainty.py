@@ -9,8 +9,8 @@ from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.experiment import Samples
 from asbuilt.identification import estimate_block_uncertainty, fit_least_squares
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 RATE = 50.0
 BLOCKS = 40

@@ -18,36 +18,30 @@ from asbuilt.identification.effects.trials import RULES
 from asbuilt.scaled import Scaled
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 
+# Say how far CAD may scatter, what bodies there may be, and what the data determine.
+#
+# Scatters are factors on the tolerances of CAD, the last is no CAD at all; amounts are kilograms of
+# a payload or shares of a link. Directions whose singular value is below `BODY_WEAKEST`, in the
+# largest, are undetermined.
 
-@dataclass(frozen=True, slots=True)
-class BodyRules:
-    """Say how far CAD may scatter, what bodies there may be, and what the data determine.
-
-    Scatters are factors on the tolerances of CAD, the last is no CAD at all; amounts are kilograms
-    of a payload or shares of a link. Directions whose singular value is below `weakest`, in the
-    largest, are undetermined.
-    """
-
-    scatters: tuple[float, float] = (0.05, 100.0)
-    amounts: tuple[float, float] = (0.02, 20.0)
-    trials: int = 40
-    weakest: float = 1e-6
-    reach: float = 1.0
-    """Farthest centre of a payload from the frame of the link that carries it, in the robot's unit
-    of length."""
-    sizes: tuple[float, ...] = (0.03, 0.1, 0.3)
-    """Sizes of payloads, and distances of their centres from the frame of the link, in that unit.
-    """
+BODY_SCATTERS = (0.05, 100.0)
+BODY_AMOUNTS = (0.02, 20.0)
+BODY_TRIALS = 40
+BODY_WEAKEST = 1e-6
+# Farthest centre of a payload from the frame of the link that carries it, in the robot's unit of
+# length
+BODY_REACH = 1.0
+# Sizes of payloads, and distances of their centres from the frame of the link, in that unit
+BODY_SIZES = (0.03, 0.1, 0.3)
 
 
-BODIES = BodyRules()
-SCATTERS = np.append(0.0, np.geomspace(*BODIES.scatters, BODIES.trials))
-SHARES = np.maximum(SCATTERS, BODIES.scatters[0])
+SCATTERS = np.append(0.0, np.geomspace(*BODY_SCATTERS, BODY_TRIALS))
+SHARES = np.maximum(SCATTERS, BODY_SCATTERS[0])
 DOUBT = 2.0 * np.log((1.0 + SHARES**2) / (2.0 * SHARES))
 """Minus twice the logarithm of the density of scatters, on a logarithmic scale, less that at 1: a
 half-Cauchy prior, as is usual for scales (Gelman, Bayesian Analysis 1, 2006). CAD says how far off
 it may be: links that are all off by their mass are less likely than one body."""
-AMOUNTS = np.geomspace(*BODIES.amounts, BODIES.trials)
+AMOUNTS = np.geomspace(*BODY_AMOUNTS, BODY_TRIALS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +162,7 @@ class _Candidate:
     link: int
     root: Array
     lighter: bool = False
-    reach: float = BODIES.reach
+    reach: float = BODY_REACH
 
     def is_possible(self, fit: _Fit) -> bool:
         """Return whether a payload has mass within reach, or a link less than twice its own.
@@ -189,8 +183,8 @@ class _Candidate:
 def _list_candidates(model: RobotModel) -> Iterator[_Candidate]:
     """Yield payloads of some sizes r, with variances of `1, r^2, r^4`, and links made heavier."""
     units = find_size_units(model)
-    reach = BODIES.reach * units.length
-    for share in BODIES.sizes:
+    reach = BODY_REACH * units.length
+    for share in BODY_SIZES:
         size = share * units.length
         link_root = units.mass * np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
         yield _Candidate(Payload.key, model.tool_link, link_root, reach=reach)
@@ -254,7 +248,7 @@ class _Scale:
     def of(cls, d: Array, C: Array, M: Array) -> _Scale:
         """Return the difference of covariance `C + s^2 M`."""
         # Whitened by the errors, then turned so that CAD's scatter is diagonal.
-        white = Scaled(C).raised(BODIES.weakest**2).inverse_root
+        white = Scaled(C).raised(BODY_WEAKEST**2).inverse_root
         spread, own = np.linalg.eigh(white.T @ M @ white)
         turn = (white @ own).T
         # Rounding leaves eigenvalues just below zero.

@@ -11,7 +11,7 @@ from scipy import stats
 from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.errors import ResultError
 from asbuilt.identification import widening
-from asbuilt.identification.errors.block_scatter import (
+from asbuilt.identification.uncertainty.block_scatter import (
     MOST_GROUPS,
     BlockScatter,
     effective_rank,

@@ -10,10 +10,10 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description import load_robot
 from asbuilt.dynamics import find_base_parameters, inverse_dynamics
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.experiment import Recording, SignalChain, prepare_samples
-from asbuilt.identification.errors.pose_noise import expect_pose_noise
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.pose_noise import expect_pose_noise
 
 BODY = """<inertial><origin xyz=".02 .01 -.05"/><mass value="{}"/>
   <inertia ixx=".03" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".04"/></inertial>"""
