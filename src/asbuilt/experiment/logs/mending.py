@@ -165,11 +165,11 @@ class LogMender:
                         file=table.source,
                     )
                 columns[name] = np.where(absurd, np.nan, columns[name])
-                after = (
-                    f" values beyond {MOST:g}, such as {values[first]:g} in row {first + 1}, which"
-                    " count as missing"
+                before = (
+                    f"values of {name} beyond {MOST:g}, such as {values[first]:g} in row"
+                    f" {first + 1}, count as missing: "
                 )
-                notes.append(Mended(f"absurd {name}", f"{name} holds ", int(absurd.sum()), after))
+                notes.append(Mended(f"absurd {name}", before, int(absurd.sum()), ""))
         notes.sort(key=lambda note: note.kind)
         return (replace(table, columns=columns), notes) if notes else (table, [])
 

@@ -1,6 +1,6 @@
 /* Section 3: which column is which quantity of which joint, matched by dragging or by lists. */
-import { element, make, mark, errorText, select, span } from "./parts.js";
-import { post } from "./talk.js";
+import { element, errorText, fileName, make, mark, select, span } from "./parts.js";
+import { page, post } from "./talk.js";
 
 const usual = ["", "time", "position", "velocity", "acceleration", "torque", "command"];
 const mostChips = 200;
@@ -47,8 +47,16 @@ function sentence() {
 
 /* A draft is shown as places; its text, which the command prints, is not repeated here. */
 function shortProblem() {
-  if (!answer.problem.includes("\n") || !answer.columns.some((column) => column.quantity)) return answer.problem;
-  return answer.problem.split(/[;\n]/)[0] + ". The places below are a guess from the values: mend what is wrong, then read the log by them.";
+  const problem = nameFile(answer.problem);
+  if (!problem.includes("\n") || !answer.columns.some((column) => column.quantity)) return problem;
+  return problem.split(/[;\n]/)[0] + ". The places below are a guess from the values: mend what is wrong, then read the log by them.";
+}
+
+/* Step 2 has the folder of the log. */
+function nameFile(text) {
+  const { logs, validation } = page().choices;
+  const log = [...logs, ...validation].find((path) => text.startsWith(path));
+  return log ? fileName(log) + text.slice(log.length) : text;
 }
 
 const rank = (quantity) => (usual.includes(quantity) ? usual.indexOf(quantity) : usual.length) || usual.length + 1;

@@ -8,14 +8,19 @@ export function drawFindings(list, findings, curable = true) {
     const row = make(list, "li", { class: finding.severity });
     if (finding.severity === "error") make(row, "strong", {}, "Error. ");
     const cure = finding.cure ? finding.cure.text : "";
-    const sentence = upper(finding.message.replace(/\.$/, "")) + ".";
+    const sentence = begin(finding.message.replace(/\.$/, "")) + ".";
+    if (finding.source) make(row, "strong", {}, finding.source + ": ");
     make(row, "span", {}, sentence + (cure ? " " + upper(cure) + "." : ""));
     for (const [name, value] of Object.entries(curable && finding.cure ? finding.cure.settings : {})) {
       const line = Object.keys(page().options).find((each) => page().options[each][name]);
       if (line) addButton(row, line, page().options[line][name], value);
     }
+    if (curable && finding.cure && finding.cure.call === "find_gains") addButton(row, "reading", "--gain", null);
   }
 }
+
+/* A sentence begins with a capital, the name of a recording as it is. */
+const begin = (text) => (/^\S+\.\w+: /.test(text) ? text : upper(text));
 
 /* Buttons for the options that a sentence names, such as "... (--torque-source command)". */
 export function addCures(row, text) {

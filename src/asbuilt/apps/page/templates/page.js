@@ -173,7 +173,7 @@ function drawCheck() {
 }
 
 function nameFindings(recording, several) {
-  return recording.findings.map((finding) => (several ? { ...finding, message: fileName(recording.source) + ": " + finding.message } : finding));
+  return recording.findings.map((finding) => (several ? { ...finding, source: fileName(recording.source) } : finding));
 }
 
 function summary(answer, errors, warnings) {
@@ -189,9 +189,18 @@ function drawIdentify() {
   const answer = current("identify");
   const failed = Boolean(answer && answer.error);
   element("identify-button").disabled = Boolean(why || job);
-  element("identify-refusal").textContent = why ? "Not yet: " + why + "." : "";
+  element("identify-refusal").textContent = why ? "Not yet: " + shortRefusal(why) + "." : "";
   const text = job && job.step === "identify" ? "running" : why ? "not yet" : failed ? "failed" : answer ? "done" : "ready";
   mark("identify", text, failed || (why && current("check")) ? "bad" : why ? "" : "good");
+}
+
+/* What a step above says in full is not repeated; the step is named. */
+function shortRefusal(why) {
+  const check = current("check");
+  if (!check || !page().choices.logs.length) return why;
+  const matched = current("columns");
+  if (check.error && matched && matched.problem) return "match the columns of the log first, in step 3";
+  return check.error ? "mend what step 4 says first" : "mend the errors of step 4 first";
 }
 
 /* ---- 7 view and 8 export ---- */
