@@ -18,6 +18,7 @@ from asbuilt.description.structure.couplings import (
     derive_coupling,
     order_tree,
     separate_followers,
+    with_rotors,
 )
 from asbuilt.description.structure.free_base import count_base_joints
 from asbuilt.description.structure.locking import (
@@ -27,7 +28,6 @@ from asbuilt.description.structure.locking import (
     merge_locked_links,
 )
 from asbuilt.description.structure.loops import Loop
-from asbuilt.description.structure.motors import with_rotors
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
@@ -309,7 +309,7 @@ class RobotModel:
 
         Examples
         --------
-        >>> from asbuilt.description.catalogue import bundled_robot
+        >>> from asbuilt.description.load import bundled_robot
         >>> bundled_robot("puma-560").tool_link
         5
         """
@@ -616,7 +616,7 @@ class RobotModel:
 
         Examples
         --------
-        >>> from asbuilt.description.catalogue import bundled_robot
+        >>> from asbuilt.description.load import bundled_robot
         >>> elbow = bundled_robot("two-link").locked({"joint_2": 0.5})
         >>> elbow.joint_names, elbow.locked_joints
         (('joint_1',), {'joint_2': 0.5})

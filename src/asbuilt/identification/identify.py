@@ -39,7 +39,6 @@ from asbuilt.identification.result.torque_prediction import (
 )
 from asbuilt.identification.uncertainty.bias import OmittedBias
 from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
-from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, estimate_delay_errors
 from asbuilt.identification.uncertainty.nonlinear_errors import (
     NonlinearErrors,
@@ -54,7 +53,9 @@ from asbuilt.identification.uncertainty.pose_noise import (
 from asbuilt.identification.uncertainty.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
+    estimate_bootstrap_uncertainty,
     estimate_textbook_uncertainty,
+    redraw,
 )
 
 # Say when friction that depends on load has settled: own choice, tested on virtual robots.

@@ -19,12 +19,12 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.recording_delay import (
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.delay_errors import (
     JointDelay,
     RecordingDelay,
     state_delay,
 )
-from asbuilt.identification.result.result import IdentificationResult
 
 FRICTION = DriveSet.parse("viscous,coulomb,offset")
 """Drive terms without which friction passes for a delay."""

@@ -18,8 +18,8 @@ from asbuilt.findings import Cure, join_names
 from asbuilt.identification import Payload
 from asbuilt.registry import Registry
 from asbuilt.untrusted import parse_json, read_text
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.tables.payload_tables import payload_document
+from asbuilt.writing import atomic_write
 
 LARGEST = 1_000_000
 """Bytes of a stored payload; one of seven joints and ten logs has 10 kB."""

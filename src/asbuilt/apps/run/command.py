@@ -29,6 +29,11 @@ if TYPE_CHECKING:
 
     from asbuilt.apps.run.drivers import Driver
     from asbuilt.apps.run.loop import Loop, Outcome
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 FOLDER = Path("asbuilt-run")
 
@@ -88,7 +93,6 @@ def run(
     """
     from asbuilt.apps.run.drivers import DriverRequest, moves_metal, open_driver
     from asbuilt.apps.run.loop import Loop
-    from asbuilt.apps.run.stopping import catch_interrupt
 
     model = load_described_robot(robot)
     settings = _read_settings(model.name, options, on, motion, program, resume, out)
@@ -240,3 +244,27 @@ def _answer(
 def _say(as_json: bool, *parts: str) -> None:
     if not as_json:
         print_text("".join(parts))
+
+
+@contextmanager
+def catch_interrupt() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C was pressed.
+
+    A second Ctrl-C raises `KeyboardInterrupt`. Only the main thread can catch it.
+    """
+    pressed = threading.Event()
+
+    def note(number: int, frame: FrameType | None) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        pressed.set()
+        print("asbuilt: ends after this round; Ctrl-C again ends at once", file=sys.stderr)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed.is_set
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -18,8 +18,7 @@ from asbuilt.apps.run.prediction import (
     predict_round,
     relate_rollout,
 )
-from asbuilt.apps.run.promise import Promise, Unexplained, promise_error, widen_promise
-from asbuilt.apps.run.purpose import States
+from asbuilt.apps.run.promise import Promise, States, Unexplained, promise_error, widen_promise
 from asbuilt.excitation import Motion
 from asbuilt.tables import format_share, round_significant
 

@@ -230,8 +230,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
-    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> from asbuilt.description.load import bundled_robot
+    >>> from asbuilt.excitation.motions.fourier import random_fourier
     >>> from asbuilt.experiment.virtual.simulation import simulate_recording
     >>> model = bundled_robot("two-link")
     >>> recording = simulate_recording(model, random_fourier(model, rng=1), rate=100.0)

@@ -17,7 +17,7 @@ from asbuilt.experiment.command.magnitude import (
 from asbuilt.experiment.quality.passes import FirstPass, SecondPass
 from asbuilt.experiment.quality.reductions import Extremes
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.spectrum import power_density
+from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.findings import Cure, Finding, join_names
 
 

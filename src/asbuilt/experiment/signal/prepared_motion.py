@@ -13,7 +13,11 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.band_choice import choose_band
-from asbuilt.experiment.signal.differentiation import validate_velocities
+from asbuilt.experiment.signal.differentiation import (
+    PAUSE,
+    estimate_standstill_speeds,
+    validate_velocities,
+)
 from asbuilt.experiment.signal.filter_plan import FilteredMotion, FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.lowpass import SPREAD
 from asbuilt.experiment.signal.resampling import (
@@ -24,7 +28,6 @@ from asbuilt.experiment.signal.resampling import (
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
 from asbuilt.experiment.signal.spikes import replace_spikes
-from asbuilt.experiment.signal.standstill import PAUSE, estimate_standstill_speeds
 from asbuilt.findings import Cure
 
 SLOWEST_RATE = 1.0

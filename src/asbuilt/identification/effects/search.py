@@ -21,17 +21,16 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, FoundEffect
 from asbuilt.identification.effects.families.drive_terms import with_terms
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
-from asbuilt.identification.effects.lacking import Lacking
-from asbuilt.identification.effects.selection import Selection
+from asbuilt.identification.effects.selection import Lacking, Selection
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
+from asbuilt.identification.estimators.held_out_choice import group_different_motions
 from asbuilt.identification.estimators.least_squares import (
     ROUGH_WEIGHTS,
     WEIGHT_CONVERGENCE,
     fit_least_squares,
 )
-from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
