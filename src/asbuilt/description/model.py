@@ -20,7 +20,7 @@ from asbuilt.description.structure.couplings import (
     separate_followers,
     with_rotors,
 )
-from asbuilt.description.structure.free_base import count_base_joints
+from asbuilt.description.structure.free_base import BaseKind, classify_base, count_base_joints
 from asbuilt.description.structure.locking import (
     derive_locked_positions,
     find_assumed_carriers,
@@ -254,6 +254,19 @@ class RobotModel:
     def n_floating(self) -> int:
         """Number of coordinates of the base, which come first: 6, 3 if planar, 0 if it is fixed."""
         return count_base_joints(self.joints, self.links)
+
+    @property
+    def base_kind(self) -> BaseKind:
+        """How the base can move."""
+        return classify_base(self.n_floating)
+
+    @property
+    def mixes_joints(self) -> bool:
+        """Whether every equation has parts of all joints, as on a free base.
+
+        Then no joint has a delay or causes of its own.
+        """
+        return self.n_floating > 0
 
     @cached_property
     def standing(self) -> RobotModel:

@@ -1,4 +1,4 @@
-"""The torque of a robot and its drives as a function of motion, for control loops and batches."""
+"""The torque of a robot and its drives as a function of motion, for controllers and batches."""
 
 from __future__ import annotations
 

@@ -80,8 +80,8 @@ def settle_delays(
     filters
         What filters their motions, once for all who share it; None: of its own.
     """
-    if chain.delay == "auto" and model.n_floating:
-        chain = replace(chain, delay=None)  # the torque of a joint is in the rows of all
+    if chain.delay == "auto" and model.mixes_joints:
+        chain = replace(chain, delay=None)
     # Stated delays are exact: nothing is estimated, and nothing added to errors.
     if chain.delay != "auto" or not heads:
         stated = tuple(

@@ -39,9 +39,9 @@ from asbuilt.validation.generalisation.coverage import (
     check_left_out,
     check_repetitions,
 )
-from asbuilt.validation.generalisation.foot_moments import report_foot_moments
 from asbuilt.validation.generalisation.generalisation import (
     check_validations,
+    report_foot_moments,
     report_nameless,
     report_unexplained,
 )
@@ -135,9 +135,8 @@ def conclude_study(
     )
     bounded = bound_effects(result, effects)
     result = result.with_effects(tuple(as_by_encoders(effect, result) for effect in bounded))
-    # With a free base every row has parts of all joints: no joint has causes of its own.
-    floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
-    attribution = None if cause_data is None or floats else attribute(result)
+    mixed = fits.model.mixes_joints
+    attribution = None if cause_data is None or mixed else attribute(result)
     if attribution and options.wanted_effects.named:
         result = result.with_effects((*result.effects, *attribution.bodies))
     validations = tuple(

@@ -15,9 +15,8 @@ from asbuilt import AsbuiltError, DesignOptions, Recording, RobotModel, Study, U
 from asbuilt.apps.run.drivers import Driver
 from asbuilt.apps.run.folder import RunFolder
 from asbuilt.apps.run.options import RunOptions
-from asbuilt.apps.run.prediction import check_log, without_hold_out
 from asbuilt.apps.run.promise import States, choose_states, weigh_parameters
-from asbuilt.apps.run.rounds import Round, learn_round, moves_as_goal
+from asbuilt.apps.run.rounds import Round, check_log, learn_round, moves_as_goal, without_hold_out
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation import Motion, check_motion, measure_clearance

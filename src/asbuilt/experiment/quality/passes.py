@@ -25,7 +25,7 @@ from asbuilt.experiment.recording import (
     median_rate,
     time_span,
 )
-from asbuilt.experiment.signal.spikes import Spikes, find_spikes
+from asbuilt.experiment.signal.prepared_motion import Spikes, find_spikes
 from asbuilt.findings import Cure
 
 CREDIBLE = {

@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.torque import choose_usual_drive, keep_driven_joint
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
+from asbuilt.identification.drives.nonlinear_parameters import NonlinearPlace, fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.search import find_effects
@@ -25,7 +25,6 @@ from asbuilt.identification.estimators.held_out_choice import (
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 AUTO = "auto"

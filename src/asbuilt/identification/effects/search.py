@@ -17,7 +17,7 @@ from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
+from asbuilt.identification.drives.nonlinear_parameters import NonlinearPlace, fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, FoundEffect
 from asbuilt.identification.effects.families.drive_terms import with_terms
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
@@ -36,7 +36,6 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
-from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
 from asbuilt.scaled import Scaled
 
 # Say what is searched.
@@ -197,7 +196,7 @@ class _Search:
                 removed = settled
                 selection = further
             else:
-                # Not asked again, else the loop would not end.
+                # Not asked again, else the search would not end.
                 self.impossible.add(own.at)
             path = _select_further(selection, removed)
         removed = [_conclude(_advance_values(each, selection), selection) for each in removed]

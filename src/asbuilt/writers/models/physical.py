@@ -29,7 +29,7 @@ from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import SIGNIFICANT_SIGMAS, round_significant
 from asbuilt.validation.comparison.significance import chi_square
-from asbuilt.validation.nearest_consistent import POOR, NearestModel
+from asbuilt.validation.verdicts.verdict_error import POOR, NearestModel
 from asbuilt.writers.models.c.c_code import CCode, generate_c_code
 from asbuilt.writing import atomic_write
 

@@ -12,7 +12,6 @@ from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, described_text
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
-from asbuilt.description.structure.free_base import classify_base
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
@@ -51,7 +50,7 @@ def edit_urdf(
     refuse_inconsistent(model)
     plain = convert_to_plain_friction(model)
     content, source = described_text(original)
-    kind = classify_base(model.n_floating)
+    kind = model.base_kind
     # Of the same joints as the model, since locked ones stay in the file.
     described = _lock_alike(read_urdf(original, base=kind), model)
     _check_same_robot(described, model, source)

@@ -25,9 +25,8 @@ from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.writers.figures.figure_style import encode_figure, open_figure
 from asbuilt.writers.figures.study_figures import draw_recording
 from asbuilt.writers.files import data_address
-from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
-from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
+from asbuilt.writers.pictures.skeleton import MotionView, draw_skeleton_frames
 from asbuilt.writers.reports.page import (
     Block,
     Card,

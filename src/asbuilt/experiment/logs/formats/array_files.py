@@ -196,7 +196,7 @@ def read_hdf5(path: Path) -> LogTable:
     """
     import h5py  # noqa: PLC0415
 
-    # What a visitor raises is lost in h5py's locks, so that it finds and the loops below refuse.
+    # What a visitor raises is lost in h5py's locks, so that it finds and the code below refuses.
     links: dict[str, Any] = {}
     items: dict[str, Any] = {}
     variables: dict[str, Array] = {}
