@@ -1,4 +1,4 @@
-"""Names: registries of objects, options by keyword, and the nearest known name of a wrong one."""
+"""Names: registries of objects, options by keyword, the nearest known name, and public faces."""
 
 from __future__ import annotations
 

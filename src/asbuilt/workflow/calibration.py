@@ -1,4 +1,4 @@
-"""Payload, torque gains and channels of a robot from recordings."""
+"""Payload, torque gains and channels of a robot from recordings without swapped joints."""
 
 from __future__ import annotations
 

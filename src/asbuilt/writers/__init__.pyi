@@ -29,11 +29,11 @@ from .models.ensembles import write_ensemble as write_ensemble
 from .models.export import OBSERVERS as OBSERVERS
 from .models.export import Export as Export
 from .models.export import export_result as export_result
-from .models.physical import SIMULATOR_FORMATS as SIMULATOR_FORMATS
-from .models.physical import ExportedDrives as ExportedDrives
-from .models.physical import SimulatorFormat as SimulatorFormat
 from .models.physical import note_left_out_servo as note_left_out_servo
 from .models.robot_toml import write_robot_toml as write_robot_toml
+from .models.simulator_format import SIMULATOR_FORMATS as SIMULATOR_FORMATS
+from .models.simulator_format import ExportedDrives as ExportedDrives
+from .models.simulator_format import SimulatorFormat as SimulatorFormat
 from .models.urdf import UNLIMITED as UNLIMITED
 from .models.urdf import write_urdf as write_urdf
 from .payload_format import PAYLOAD_FORMATS as PAYLOAD_FORMATS

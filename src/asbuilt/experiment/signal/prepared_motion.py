@@ -1,4 +1,4 @@
-"""Motion of a recording, filtered once, with which any torque at any delay is samples."""
+"""Motion of a recording, filtered once, with which any torque without its spikes is samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drive terms to identify with, and values of their nonlinear parameters."""
+"""Drive terms to identify with, values of their nonlinear parameters, and all at the motor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commanded motion reduced to Gram matrices of each joint and time block, and robust fits to it."""
+"""Commanded motion reduced to Gram matrices of each joint and time block, fits and errors."""
 
 from __future__ import annotations
 

@@ -37,8 +37,6 @@ from asbuilt.writers.models.mjcf import (
 )
 from asbuilt.writers.models.nearest_terms import NearestTerms, find_nearest_terms
 from asbuilt.writers.models.physical import (
-    SIMULATOR_FORMATS,
-    ExportedDrives,
     note_implausible_links,
     note_left_out_servo,
     refuse_inconsistent,
@@ -46,6 +44,7 @@ from asbuilt.writers.models.physical import (
     refuse_wrong_units,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS, ExportedDrives
 from asbuilt.writers.models.urdf import urdf_holds, write_urdf
 
 Place = str | os.PathLike[str]

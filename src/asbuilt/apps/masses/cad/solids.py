@@ -28,7 +28,6 @@ from asbuilt.description import (
     rotation_from_rpy,
 )
 from asbuilt.errors import DescriptionError
-from asbuilt.identification import LINK_SHAPES
 from asbuilt.ranges import Range
 
 GeometryKind = Literal["visual", "collision"]
@@ -374,21 +373,3 @@ def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotMode
     )
     warnings = tuple(warning for cad in links.values() for warning in cad.warnings)
     return replace(model, links=replaced, notes=(*model.notes, *warnings))
-
-
-def find_link_boxes(model: RobotModel) -> Mapping[int, tuple[Array, Array]]:
-    """Return the corners (3,) of the box around the shapes of each link that has them all [m].
-
-    Raises `DescriptionError` if the robot does not come from a URDF.
-    """
-    solids = read_solids(model)
-    boxes = {}
-    for k in range(model.n_links):
-        own = [solid for solid in solids if solid.link == k and len(solid.corners)]
-        if own and not any(each.missing for each in own):
-            corners = np.concatenate([each.corners for each in own])
-            boxes[k] = corners.min(axis=0), corners.max(axis=0)
-    return boxes
-
-
-LINK_SHAPES.register("urdf", find_link_boxes)
