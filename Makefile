@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: install demo test test-core studies test-lowest fuzz quick check bench benchmark docs format wheel clean
+.PHONY: install demo test test-core studies test-lowest fuzz quick check bench benchmark numbers docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
@@ -58,9 +58,16 @@ fuzz: $(VENV)/.installed-test
 bench: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/run.py --out out/bench.json
 
-# The open benchmark with the tools that are installed, on the data that are at hand; its page.
+# The open benchmark with the tools that are installed, on the data that are at hand, what commands
+# print, and the pages that say these numbers.
 benchmark: $(VENV)/.installed-test
-	$(BIN)/python benchmarks/open/run.py
+	$(BIN)/python benchmarks/open/run.py --no-page
+	$(BIN)/python benchmarks/open/shown.py --run
+
+# The numbers of this tool alone, after a change of it: its rows and prints, and all pages.
+numbers: $(VENV)/.installed-test
+	$(BIN)/python benchmarks/open/run.py --tool asbuilt --tool cad --no-page
+	$(BIN)/python benchmarks/open/shown.py --run
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python docs/build_pictures.py

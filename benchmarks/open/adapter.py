@@ -1,7 +1,7 @@
 """Runs one tool on one prepared task, in the environment of the tool: `adapter.py TOOL FOLDER`.
 
-`adapters/TOOL.py` has `VERSION` (name of its package) and `fit(facts) -> Fit`; only the standard
-library, numpy, scipy, `plain` and `regression` of this folder are its own beside the tool. The CPU
+`adapters/TOOL.py` has `PACKAGE`, its name on the index, or `VERSION`, and `fit(facts) -> Fit`; only
+the standard library, numpy, scipy and modules of this folder are its own beside the tool. The CPU
 time [s] of `fit` is that of all threads and children, imports of the tool before it excluded.
 """
 
@@ -46,7 +46,9 @@ class Facts:
     test: list[str]
     settings: dict[str, Any]
     coupling: dict[str, Any] | None = None
+    loops: dict[str, Any] | None = None
     armature: bool = False
+    edge: float = 1.0
     description: str = ""
     contacts: list[str] = field(default_factory=list)
     horizon: float = 0.0
@@ -121,7 +123,8 @@ def main() -> None:
     answer: dict[str, Any] = {}
     try:
         module = _load(tool)
-        answer["version"] = importlib.metadata.version(module.PACKAGE)
+        own = getattr(module, "VERSION", None)
+        answer["version"] = own or importlib.metadata.version(module.PACKAGE)
         facts = Facts(folder=folder, **json.loads((folder / "facts.json").read_text()))
         for asked, (name, reason) in OTHER_TASKS.items():
             if getattr(facts, asked) and not hasattr(module, name):

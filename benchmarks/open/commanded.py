@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from plain import plain_motion, uniform
-from prepare import Array, Problem, cut, write_facts
+from prepare import Array, Problem, cut_logs, write_facts
 from task import Task
 
 from asbuilt.description.load import load_robot
@@ -32,9 +32,7 @@ def commanded_problem(task: Task, data: Path, folder: Path) -> Problem:
     paths = [[data / each for each in names] for names in (task.training, task.test)]
     model, (training, test) = read_fitted_recordings(described, paths, options=reading)
     if "trained" in task.settings:
-        (log,) = training
-        middle = int(task.settings["trained"] * len(log.t))
-        training, test = [cut(log, slice(0, middle))], [cut(log, slice(middle, None))]
+        training, test = cut_logs(task, training)
     gains = {key: task.settings[key] for key in ("kp", "kd") if key in task.settings}
     joints = tuple(replace(each, drive=replace(each.drive, **gains)) for each in model.joints)
     model = replace(model, joints=joints)

@@ -81,7 +81,7 @@ class Flyer(Regression):
             P = projections(facts, motion.q, contact)
             columns = P @ np.concatenate([self.bodies(motion), self.drive_columns(motion)], axis=2)
             torque = np.einsum("tij,tj->ti", P[:, :, BASE:], motion.tau)
-            rows = motion.inner()
+            rows = motion.inner(facts.edge)
             for x, found in ((columns, W), (torque, tau)):
                 smooth = low_pass(x.reshape(len(x), -1), facts.rate, facts.cutoff)
                 found.append(smooth.reshape(x.shape)[rows])

@@ -94,5 +94,5 @@ def projected_errors(problem: Problem, answer: Array) -> tuple[Array, Array]:
     found = []
     for each in (torque - answer, torque):
         left = low_pass(np.einsum("tij,tj->ti", P, each), facts.rate, facts.cutoff)
-        found.append(np.sqrt(np.mean(left[states.inner()] ** 2, axis=0)))
+        found.append(np.sqrt(np.mean(left[states.inner(facts.edge)] ** 2, axis=0)))
     return found[0], found[1]

@@ -12,6 +12,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+from plain import EDGE
 from task import HERE, RESULTS, Task, tasks
 from tool import Tool, tools
 
@@ -22,6 +23,8 @@ PICTURES = DOCS / "built" / "benchmark"
 MISSING = "–"
 LEAD = 0.1
 """Part of the best other error by which a tool leads: one recording of a robot is one sample."""
+FEW = 0.005
+"""Error below which a percentage has three digits: it is one of a range, not of a torque."""
 KINDS = {
     "torque": "Torque on another motion",
     "legs": "Legs on the ground",
@@ -48,9 +51,17 @@ def read_results(path: Path = RESULTS) -> dict[tuple[str, str], Row]:
 
 def write_page(path: Path = RESULTS) -> None:
     """Write the page."""
+    PAGE.parent.mkdir(parents=True, exist_ok=True)
+    PAGE.write_text(page_text(path))
+
+
+def page_text(path: Path = RESULTS) -> str:
+    """Return the page."""
     results = read_results(path)
     shown = {name: task for name, task in tasks().items() if any(t == name for t, _ in results)}
-    parts = [(HERE / "page_head.md").read_text().rstrip()]
+    days = sorted({row["date"] for row in results.values() if row.get("date")})
+    head = (HERE / "page_head.md").read_text().rstrip()
+    parts = [head.replace("DAYS", " to ".join(dict.fromkeys((days[0], days[-1]))) if days else "")]
     for kind, title in KINDS.items():
         own = {name: task for name, task in shown.items() if task.kind == kind}
         if own:
@@ -59,8 +70,7 @@ def write_page(path: Path = RESULTS) -> None:
     parts.append(f"## What else counts\n\n{_tool_table(shown, results)}")
     parts.append(f"## The tasks\n\n{_task_sections(shown, results)}")
     parts.append((HERE / "page_tail.md").read_text().rstrip())
-    PAGE.parent.mkdir(parents=True, exist_ok=True)
-    PAGE.write_text("\n\n".join(part for part in parts if part) + "\n")
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def value_of(kind: str, row: Row | None) -> float | None:
@@ -85,7 +95,9 @@ def cell(kind: str, row: Row | None, best: float | None) -> str:
 
 def shown(kind: str, value: float) -> str:
     """Return an error: position errors in mrad, others as a part."""
-    return f"{1000 * value:.1f} mrad" if kind == "command" else f"{100 * value:.1f} %"
+    if kind == "command":
+        return f"{1000 * value:.1f} mrad"
+    return f"{100 * value:.{3 if value < FEW else 1}f} %"
 
 
 def best_of(kind: str, values: Sequence[float | None]) -> float | None:
@@ -117,18 +129,24 @@ def _kind_table(kind: str, own: dict[str, Task], results: dict[tuple[str, str], 
 
 
 def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
-    """Say where asbuilt leads, where by less than counts, and by how much it does not."""
+    """Say where asbuilt leads, where nobody leads by what counts, and where it is behind."""
     behind, led, level = [], 0, []
     for task in own:
         values = {name: value_of(kind, results.get((task, name))) for name in tools()}
         ours, best = values.pop("asbuilt"), best_of(kind, list(values.values()))
         if ours is None or best is None:
             continue
+        if kind in ("payload", "ratio") and abs(ours - best) < _spread(results[task, "asbuilt"]):
+            level.append(task)
+            continue
         if best_of(kind, [ours, best]) == ours:
             if _cost(kind, ours) > (1.0 - LEAD) * _cost(kind, best):
                 level.append(task)
             else:
                 led += 1
+            continue
+        if _cost(kind, best) > (1.0 - LEAD) * _cost(kind, ours):
+            level.append(task)
             continue
         who = next(name for name, value in values.items() if value == best)
         own_text, other = (
@@ -139,8 +157,16 @@ def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Ro
         return ""
     sentence = f"asbuilt leads {led} of {led + len(level) + len(behind)}"
     if level:
-        sentence += f"; its lead on {', '.join(level)} is under a tenth and counts as level"
+        sentence += (
+            f"; on {', '.join(level)} the best two are level: less than a tenth apart, or what is"
+            " weighed less than its standard error"
+        )
     return sentence + (f"; it is behind on {', '.join(behind)}." if behind else ".")
+
+
+def _spread(row: Row) -> float:
+    """Return the standard error that a tool states of what is weighed, over its true value."""
+    return float(row["error"] / row["z_rms"]) if row.get("z_rms") else 0.0
 
 
 def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
@@ -182,17 +208,15 @@ def _task_section(task: Task, results: dict[tuple[str, str], Row]) -> str:
     commit = f", commit {source.commit}" if source.commit else ""
     lines = [f"### {task.name}", "", f"{task.title}. {task.note}".strip(), ""]
     lines.append(f"Data: {where}{commit}; licence: {source.licence}.")
-    if "trained" in task.settings:
-        part = 100.0 * task.settings["trained"]
-        lines.append(
-            f"Training: the first {part:.0f} % of {_files(task.training)}; test: the rest."
-        )
+    if split := split_text(task):
+        lines.append(split)
     elif task.training:
         lines.append(f"Training: {_files(task.training)}.")
     if task.test:
         start = "" if task.test_seconds is None else f" (first {task.test_seconds:g} s)"
         lines.append(f"Test: {_files(task.test)}{start}.")
-    lines += [f"Low-pass of the score: {task.cutoff:g} Hz.", ""]
+    edge = "" if task.edge == EDGE else f"; ends not scored: {task.edge:g} s"
+    lines += [f"Low-pass of the score: {task.cutoff:g} Hz{edge}.", ""]
     own = {name: results.get((task.name, name)) for name in tools()}
     if task.kind != "halves":
         lines += [f"![Error by tool](../built/benchmark/{task.name}.png)", ""]
@@ -204,6 +228,18 @@ def _task_section(task: Task, results: dict[tuple[str, str], Row]) -> str:
         if row is not None and "*" not in tools()[name].cannot:
             lines.append(_task_row(task, name, row))
     return "\n".join(lines)
+
+
+def split_text(task: Task) -> str:
+    """Say which part of its logs a task without a test predicts, or nothing."""
+    if "trained" in task.settings:
+        part = 100.0 * task.settings["trained"]
+        return f"Training: the first {part:.0f} % of {_files(task.training)}; test: the rest."
+    if "blocks" in task.settings:
+        seconds, every = task.settings["blocks"]
+        whole = f"{every} blocks of {seconds:g} s of {_files(task.training)}"
+        return f"Test: one of {whole}; training: the others."
+    return ""
 
 
 def _task_row(task: Task, name: str, row: Row) -> str:

@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from page import MISSING, read_results
+from page import MISSING, read_results, split_text
 from task import HERE, RESULTS, Task, tasks
 
 from asbuilt.tables import format_share, round_with_error
@@ -34,25 +34,34 @@ TERMS = {
 
 def write_pages(results: Path = RESULTS, folder: Path = DOCS) -> list[Path]:
     """Write the pages of all robots that the benchmark has numbers of, and their list."""
-    rows = read_results(results)
     folder.mkdir(parents=True, exist_ok=True)
-    written, lines = [], []
+    texts = page_texts(results)
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return [folder / name for name in texts]
+
+
+def page_texts(results: Path = RESULTS) -> dict[str, str]:
+    """Return the text of each file of the folder by its name."""
+    rows = read_results(results)
+    texts: dict[str, str] = {}
+    lines = []
     for name, task in tasks().items():
         source, own = NUMBERS / f"{name}.json", rows.get((name, "asbuilt"), {})
-        if task.kind != "torque" or not source.exists() or own.get("error") is None:
+        if task.kind != "torque" or not task.robot_page:
+            continue
+        if not source.exists() or own.get("error") is None:
             continue
         numbers = json.loads(source.read_text())
         errors = own["error"], rows.get((name, "cad"), {}).get("error")
         if "cad" in task.skips:  # masses that nobody designed
             numbers |= {"masses": None}
-        path = folder / f"{name}.md"
-        path.write_text(robot_page(task, numbers, *errors))
-        (folder / f"{name}.json").write_text(robot_document(task, numbers, *errors))
-        written.append(path)
+        texts[f"{name}.md"] = robot_page(task, numbers, *errors)
+        texts[f"{name}.json"] = robot_document(task, numbers, *errors)
         lines.append(_index_line(task, numbers, *errors))
     head = (HERE / "robots_head.md").read_text().rstrip().replace("RULE", LETTERS.text)
-    (folder / "index.md").write_text("\n".join([head, *lines]) + "\n")
-    return written
+    texts["index.md"] = "\n".join([head, *lines]) + "\n"
+    return texts
 
 
 def robot_page(task: Task, numbers: dict[str, Any], error: float, cad: float | None) -> str:
@@ -180,11 +189,19 @@ def _rests(task: Task, numbers: dict[str, Any]) -> str:
         [
             f"- {many}; another of the type differs in friction and mounting",
             f"- logs of [{source.repository}]({source.repository}){commit} (licence:"
-            f" {source.licence}): {_names(task.training)}; tested on {_names(task.test)}",
+            f" {source.licence}): {_names(task.training)}; {_tested(task)}",
             f"- {numbers['duration']:.0f} s fitted, method `{numbers['method']}`;"
             f" [the benchmark](../benchmark/index.md#{task.name}) has the other tools",
         ]
     )
+
+
+def _tested(task: Task) -> str:
+    """Say what the error is of."""
+    split = split_text(task)
+    if not split:
+        return f"tested on {_names(task.test)}"
+    return f"{split[0].lower()}{split[1:].rstrip('.')} (parts of one motion, not another one)"
 
 
 def _index_line(task: Task, numbers: dict[str, Any], error: float, cad: float | None) -> str:

@@ -15,7 +15,8 @@ from scipy.signal import butter, filtfilt
 Array = Any
 ORDER = 4
 EDGE = 1.0
-"""Seconds at both ends of a log that the filter disturbs; neither fitted nor scored."""
+"""Seconds at both ends of a log that the filter disturbs; neither fitted nor scored. Logs of a few
+seconds have a shorter edge, which their task states."""
 
 
 class Motion(NamedTuple):

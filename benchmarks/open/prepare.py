@@ -20,12 +20,16 @@ from task import Task
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.drives.torque import choose_usual_drive
+from asbuilt.errors import InertiaError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.urdf import format_urdf
 
 Array = Any
+SCORED = 2.2
+"""Edges that a part of a log must outlast to be predicted: both its own, and some more."""
 HIDDEN = ("mass", "ratio")
 """Settings that are the answer."""
 
@@ -59,7 +63,37 @@ def read_task_logs(
         [read_recordings([data / each], model=model, sheet=sheet)[0] for each in paths]
         for paths in (task.training, task.test)
     ]
+    if not task.test and set(task.settings) & {"trained", "blocks"}:
+        return model, *cut_logs(task, logs[0])
     return model, *logs
+
+
+def cut_logs(task: Task, logs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Return what is trained on and what is predicted of logs that hold both.
+
+    `trained`: the first part of each log, and the rest. `blocks = [seconds, every]`: each log in
+    blocks, of which the last of `every` is predicted; those before it are one log. What is left of
+    a block at the end is predicted if it outlasts the ends that are not scored.
+    """
+    training, test = [], []
+    for log in logs:
+        if "trained" in task.settings:
+            middle = int(task.settings["trained"] * len(log.t))
+            training.append(cut(log, slice(0, middle)))
+            test.append(cut(log, slice(middle, None)))
+            continue
+        seconds, every = task.settings["blocks"]
+        edges = np.arange(log.t[0], log.t[-1], seconds)
+        at = [*np.searchsorted(log.t, edges), len(log.t)]
+        for k in range(0, len(at) - 1, every):
+            last = min(k + every - 1, len(at) - 2)
+            if last == k + every - 1:
+                held = cut(log, slice(at[last], at[last + 1]))
+                test += [held] if held.t[-1] - held.t[0] > SCORED * task.edge else []
+            else:
+                last += 1
+            training.append(cut(log, slice(at[k], at[last])))
+    return training, test
 
 
 def halves(logs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
@@ -93,7 +127,10 @@ def write_problem(
     rate = task.rate or _rate(training[0])
     tree = model.tree
     bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in tree.joints)
-    plain = format_urdf(replace(tree, joints=bare, frames=()))
+    try:
+        plain = format_urdf(replace(tree, joints=bare, frames=()))
+    except InertiaError:  # bodies that cannot exist: the file as it is, with its faults
+        plain = Path(description).read_text()
     (folder / "robot.urdf").write_text(with_origins(plain))
     for k, log in enumerate(training):
         values = {"t": log.t, "q": log.q, "tau": log.tau}
@@ -119,9 +156,10 @@ def write_problem(
         joints=list(model.joint_names),
         tree_joints=list(tree.joint_names),
         tree_links=list(tree.link_names),
-        coupling=None
-        if coupling is None
-        else {"matrix": coupling.matrix.tolist(), "offset": coupling.offset.tolist()},
+        coupling={"matrix": coupling.matrix.tolist(), "offset": coupling.offset.tolist()}
+        if isinstance(coupling, Coupling)
+        else None,
+        loops=loops_of(model),
         gravity=list(map(float, model.gravity)),
         rate=rate,
         torque_source=source,
@@ -140,7 +178,8 @@ def write_facts(task: Task, folder: Path, **facts: Any) -> None:
         kind: sorted(path.name for path in folder.glob(f"{name}_*.npz"))
         for kind, name in (("training", "train"), ("test", "test"))
     }
-    told = {"task": task.name, "cutoff": task.cutoff, "settings": settings} | logs | facts
+    own = {"task": task.name, "cutoff": task.cutoff, "edge": task.edge, "settings": settings}
+    told = own | logs | facts
     (folder / "facts.json").write_text(json.dumps(told, indent=1))
 
 
@@ -151,6 +190,17 @@ def with_origins(urdf: str) -> str:
         if place.find("origin") is None:
             place.insert(0, ElementTree.Element("origin", xyz="0 0 0", rpy="0 0 0"))
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def loops_of(model: RobotModel) -> dict[str, Any] | None:
+    """Return points of links that coincide, and where joints are about; None without loops."""
+    if not model.loops:
+        return None
+    points = [
+        {"a": (loop.link_a, list(loop.point_a)), "b": (loop.link_b, list(loop.point_b))}
+        for loop in model.loops
+    ]
+    return {"points": points, "posture": dict(model.posture)}
 
 
 def _first(log: Recording, seconds: float) -> Recording:

@@ -1,6 +1,7 @@
 """Weighted least squares on the regressor of any library, as textbooks have it.
 
-`W = [C^T Y(C q + b) | drive columns]` with the coupling C of a mechanism; one variance per joint,
+`W = [C^T Y(C q + b) | drive columns]` with the coupling C of a mechanism (closed chains: `loops`);
+one variance per joint,
 from a fit to its rows alone (Gautier, IEEE CDC, 1997); base parameters are the first independent
 columns of a column-scaled W; errors are those of independent residuals.
 """
@@ -91,7 +92,7 @@ class Regression:
         W, tau, facts = [], [], self.facts
         step = max(1, round(facts.rate / (FITTED_RATE_PER_CUTOFF * facts.cutoff)))
         for motion in motions:
-            inner = motion.inner()
+            inner = motion.inner(facts.edge)
             rows = slice(inner.start, inner.stop, step)
             drives = self.drive_columns(motion)
             smooth = low_pass(drives.reshape(len(drives), -1), facts.rate, facts.cutoff)
@@ -188,8 +189,17 @@ class Regression:
         return Fit(
             lambda motion: self.torque(motion, standard),
             parameters,
-            note=f"{len(columns)} base parameters; no masses",
+            note=f"{len(columns)} base parameters; no masses{impossible(parameters)}",
         )
+
+
+def impossible(parameters: list[Estimate]) -> str:
+    """Say how many rotors and frictions are negative beyond two standard errors, if any."""
+    drives = [each for each in parameters if each.name[:2] in ("Ia", "Fv", "Fc")]
+    below = [each for each in drives if each.value < -2.0 * each.error]
+    if not below:
+        return ""
+    return f"; {len(below)} of {len(drives)} rotors and frictions negative beyond two errors"
 
 
 def base_columns(W: Array) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@
     python benchmarks/open/run.py --data DIR --download # fetch data, digests checked
     python benchmarks/open/run.py --task lwr4 --tool asbuilt --tool wls
 
-Prints one JSON line for each task and tool, adds it to the file of results at once, and writes the
-page from that file.
+Prints one JSON line for each task and tool, adds it to the file of results at once, the numbers
+of each robot in `robots/` beside it, and writes the page from that file.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,6 @@ from task import DOWNLOADED, HERE, RESULTS, SHARED, Task, download, tasks
 from tool import Tool, tools
 from virtual import virtual_problems
 
-ROBOTS = HERE / "robots"
-"""Numbers of each robot as asbuilt finds it, of which its page is made."""
 SPECIAL = {"legs": legged_problem, "command": commanded_problem}
 """Kinds of task with a log that is no arm's with torques."""
 ABSENT = "not installed; run with --install"
@@ -95,7 +94,12 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
     else:
         pairs = [
             torque_errors(
-                _states(problem, k), hidden, answer["torques"][k], _rate(problem), task.cutoff
+                _states(problem, k),
+                hidden,
+                answer["torques"][k],
+                _rate(problem),
+                task.cutoff,
+                task.edge,
             )
             for problem, answer in zip(problems, answers, strict=True)
             for k, hidden in enumerate(problem.hidden)
@@ -117,7 +121,7 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
     if task.kind == "virtual":  # robots of different size: the mean of their errors
         found["error"] = float(np.mean([relative_error([each], task.norm)[0] for each in pairs]))
     elif pairs and task.kind != "halves":
-        found["error"], found["per_joint"] = relative_error(pairs, task.norm)
+        found["error"], found["per_joint"] = relative_error(pairs, task.norm, _limits(problems[0]))
     if task.kind == "halves":
         found |= coverage(agreement(answers[0]["parameters"], answers[1]["parameters"]))
     if task.kind == "virtual":
@@ -128,10 +132,11 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
         found |= coverage(np.concatenate(z))
     if all(each["links"] is not None for each in answers):
         masses = [
-            sum(row[9] for row in answer["links"]) / (problem.mass or np.nan)
+            sum(row[9] for row in answer["links"]) / problem.mass
             for problem, answer in zip(problems, answers, strict=True)
+            if problem.mass is not None
         ]
-        found["mass_ratio"] = float(np.mean(masses))
+        found["mass_ratio"] = float(np.mean(masses)) if masses else None
         found["consistent"] = all(consistent(np.array(each["links"])) for each in answers)
     if task.kind == "torque":
         found["details"] = answers[0].get("details", {})
@@ -141,6 +146,10 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
 def _states(problem: Problem, k: int) -> Motion:
     stored = np.load(problem.folder / f"test_{k}.npz")
     return Motion(*(stored[key] for key in ("t", "q", "qd", "qdd")))
+
+
+def _limits(problem: Problem) -> Any:
+    return np.array([joint.limits.torque for joint in problem.model.joints])
 
 
 def _rate(problem: Problem) -> float:
@@ -189,6 +198,7 @@ def row(task: Task, tool: Tool, problems: list[Problem], scratch: Path) -> dict[
         **{key: found.get(key) for key in ("error", "coverage", "mass_ratio")},
         **found,
         "lines": tool.lines,
+        "date": datetime.now(tz=UTC).date().isoformat(),
     }
 
 
@@ -248,8 +258,9 @@ def main() -> None:
             details = found.pop("details", None)
             print(json.dumps(_rounded(found)), flush=True)
             if details:
-                ROBOTS.mkdir(exist_ok=True)
-                (ROBOTS / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
+                robots = arguments.results.parent / "robots"
+                robots.mkdir(exist_ok=True)
+                (robots / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
             if found["note"] != ABSENT:
                 store(found, arguments.results)
     if not arguments.no_page:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from plain import Motion, low_pass
+from plain import EDGE, Motion, low_pass
 from task import Norm
 
 Array = Any
@@ -18,10 +18,10 @@ what solvers of cones leave."""
 
 
 def torque_errors(
-    states: Motion, hidden: Array, answer: Array, rate: float, cutoff: float
+    states: Motion, hidden: Array, answer: Array, rate: float, cutoff: float, edge: float = EDGE
 ) -> tuple[Array, Array]:
     """Return root mean squares (n,) of the error and of the torque, both low-passed, edges off."""
-    rows = states.inner()
+    rows = states.inner(edge)
     error, torque = (low_pass(x, rate, cutoff)[rows] for x in (hidden - answer, hidden))
     return np.sqrt(np.mean(error**2, axis=0)), np.sqrt(np.mean(torque**2, axis=0))
 
@@ -37,13 +37,18 @@ def weight_ratio(first: list[dict[str, Any]], second: list[dict[str, Any]]) -> t
     return ratio, float(np.sqrt(np.sum(a**2 * (of_b + ratio**2 * of_a))) / (a @ a))
 
 
-def relative_error(pairs: list[tuple[Array, Array]], norm: Norm) -> tuple[float, list[float]]:
+def relative_error(
+    pairs: list[tuple[Array, Array]], norm: Norm, limits: Array | None = None
+) -> tuple[float, list[float]]:
     """Return the error of several tests in a norm, and that of each joint.
 
     `torque`: `|tau - tau_hat| / |tau|` over all joints and tests. `joints`: the mean over joints
-    of that of one joint, for robots whose joints have different units.
+    of that of one joint, for robots whose joints have different units. `limits`: the mean over
+    joints of the error over the range of the torque, twice its limit (n,), as FloBaRoID's NRMS.
     """
     error, torque = (np.sum([pair[i] ** 2 for pair in pairs], axis=0) for i in (0, 1))
+    if norm == "limits":
+        torque = len(pairs) * (2.0 * np.asarray(limits)) ** 2
     each = np.sqrt(error / torque)
     whole = np.sqrt(error.sum() / torque.sum()) if norm == "torque" else each.mean()
     return float(whole), [float(x) for x in each]

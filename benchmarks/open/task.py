@@ -2,7 +2,8 @@
 
 A task names the files of its data folder with their sha256 digests, the description of the robot,
 how the columns are read (`sheet`, a recording sheet of asbuilt), what is trained on and what is
-predicted, the cutoff [Hz] of the plain low-pass, and the norm of the error.
+predicted, the cutoff [Hz] of the plain low-pass, what the filter spoils at both ends of a log
+(`edge` [s]), and the norm of the error. Without `test`, each log is cut: see `prepare.cut_logs`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ DOWNLOADED = HERE / ".data"
 RESULTS = HERE / "results.jsonl"
 
 Kind = Literal["torque", "legs", "halves", "virtual", "payload", "ratio", "command"]
-Norm = Literal["torque", "joints"]
+Norm = Literal["torque", "joints", "limits"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +53,12 @@ class Task:
     test: tuple[str, ...] = ()
     sheet: dict[str, Any] = field(default_factory=dict)
     test_seconds: float | None = None
+    edge: float = 1.0
     armature: bool = False
     skips: dict[str, str] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     note: str = ""
+    robot_page: bool = True
 
     def missing(self, data: Path) -> list[str]:
         """Return the files that a folder lacks."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ ENVIRONMENTS = HERE / ".envs"
 
 @dataclass(frozen=True)
 class Tool:
-    """An adapter, and what its environment needs."""
+    """An adapter, and what its environment needs: packages, and a version of Python if not this."""
 
     name: str
     path: Path
@@ -25,6 +26,7 @@ class Tool:
     package: str
     requires: tuple[str, ...]
     cannot: dict[str, str]
+    interpreter: str = ""
 
     @property
     def python(self) -> Path:
@@ -43,7 +45,11 @@ class Tool:
         """Make its environment."""
         folder = ENVIRONMENTS / self.name
         if not (folder / "bin" / "python").exists():
-            subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+            own = shutil.which(f"python{self.interpreter}") if self.interpreter else sys.executable
+            if own is None:
+                print(f"{self.name} needs python{self.interpreter}, which is not here")
+                return
+            subprocess.run([own, "-m", "venv", str(folder)], check=True)
         subprocess.run([self.python, "-m", "pip", "install", "-q", *self.requires], check=True)
 
 
@@ -71,4 +77,5 @@ def _tool(path: Path) -> Tool:
         values["PACKAGE"],
         tuple(values["REQUIRES"]),
         values["CANNOT"],
+        values.get("PYTHON", ""),
     )

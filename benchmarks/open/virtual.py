@@ -8,12 +8,15 @@ is logged late, a spring. Logs have encoder counts and noise that is half white,
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from prepare import Problem, write_problem
-from task import Task
+from adapter import Facts
+from loops import ClosedChains
+from prepare import Array, Problem, loops_of, write_problem
+from task import HERE, Task
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
@@ -45,7 +48,9 @@ def virtual_problems(task: Task, folder: Path) -> list[Problem]:
 
 def _problem(task: Task, name: str, seed: int, folder: Path) -> Problem:
     rng = np.random.default_rng([2027, seed])
-    cad = _as_urdf(load_robot(name), folder)
+    described = HERE / "mechanisms" / f"{name}.toml"
+    closed = described.exists()
+    cad = load_robot(described) if closed else _as_urdf(load_robot(name), folder)
     robot = _robot(cad, rng, task.settings["built"])
     limits = np.array([joint.limits.torque for joint in cad.joints])
     sensors = Sensors(NOISE * limits, turns=(True,) * cad.n_joints, white=0.5)
@@ -55,7 +60,40 @@ def _problem(task: Task, name: str, seed: int, folder: Path) -> Problem:
         logs.append(robot.log(motion, sensors, RATE, rng, source=source, torque_source="sensor"))
     drive = DriveSet.parse("viscous,coulomb,offset")
     truth = dict(zip(parameter_names(cad, drive), robot.true_parameters().tolist(), strict=True))
-    return write_problem(task, cad, logs[:1], logs[1:], folder, truth)
+    own = str(described) if closed else ""
+    return write_problem(task, cad, logs[:1], logs[1:], folder, truth, own)
+
+
+@dataclass(frozen=True)
+class ClosedRobot(OutsideRobot):
+    """A robot with closed chains, its torque by Pinocchio's tree and `loops`."""
+
+    def rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque of the bodies (N, n) at the motors."""
+        with tempfile.TemporaryDirectory() as folder:
+            facts = closed_facts(self.bodies, Path(folder), self.gravity)
+            return np.asarray(ClosedChains(facts).torque(q, qd, qdd))
+
+
+def closed_facts(model: RobotModel, folder: Path, gravity: Array) -> Facts:
+    """Return what `loops` needs of a robot: its tree as URDF, its loops."""
+    tree = model.tree
+    bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in tree.joints)
+    (folder / "robot.urdf").write_text(format_urdf(replace(tree, joints=bare, frames=())))
+    return Facts(
+        folder=folder,
+        joints=list(model.joint_names),
+        tree_joints=list(tree.joint_names),
+        tree_links=list(tree.link_names),
+        gravity=list(map(float, gravity)),
+        cutoff=0.0,
+        rate=0.0,
+        torque_source="sensor",
+        training=[],
+        test=[],
+        settings={},
+        loops=loops_of(model),
+    )
 
 
 def _as_urdf(model: RobotModel, folder: Path) -> RobotModel:
@@ -71,7 +109,8 @@ def _robot(cad: RobotModel, rng: np.random.Generator, built: bool) -> OutsideRob
     limits = np.array([joint.limits.torque for joint in cad.joints])
     n = cad.n_joints
     coulomb = FRICTION * limits * rng.uniform(0.5, 1.5, size=n)
-    robot = OutsideRobot(
+    kind = ClosedRobot if cad.loops else OutsideRobot
+    robot = kind(
         other_bodies(cad, rng),
         viscous=coulomb * rng.uniform(0.5, 1.5, size=n),
         coulomb=coulomb,

@@ -10,7 +10,7 @@ from asbuilt.faces import attach_face
 
 __getattr__, _list_all_names, _ = attach_face(__name__, __file__)
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "check_recording",

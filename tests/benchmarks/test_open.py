@@ -20,9 +20,11 @@ from adapter import Facts  # noqa: E402
 from commanded import windows_of  # noqa: E402
 from flyer import BASE, Flyer, described, flyer_model, projections  # noqa: E402
 from legged import legged_problem  # noqa: E402
+from loops import ClosedChains  # noqa: E402
 from page import best_of, cell, read_results  # noqa: E402
 from pinocchio_regressor import tree_regressor  # noqa: E402
 from plain import Motion, closed_contacts, low_pass  # noqa: E402
+from prepare import cut_logs  # noqa: E402
 from regression import INERTIAL, Regression  # noqa: E402
 from score import (  # noqa: E402
     against_truth,
@@ -34,9 +36,12 @@ from score import (  # noqa: E402
 )
 from task import RESULTS, sha256, tasks  # noqa: E402
 from tool import tools  # noqa: E402
-from virtual import virtual_problems  # noqa: E402
+from virtual import closed_facts, virtual_problems  # noqa: E402
 
 from asbuilt import Recording, load_robot  # noqa: E402
+from asbuilt.dynamics import inverse_dynamics  # noqa: E402
+from asbuilt.excitation import random_fourier  # noqa: E402
+from asbuilt.experiment import VirtualRobot, check_recording  # noqa: E402
 
 
 @pytest.mark.parametrize("name", tasks())
@@ -251,3 +256,46 @@ def test_projected_torques_hold_no_force_of_the_feet(shared: Path, tmp_path: Pat
     left = np.einsum("tij,tj->ti", P, tau - flyer.torque(motion, standard))
     assert np.abs(left).max() < 1e-9
     assert np.abs(tau[:, BASE:] - flyer.torque(motion, standard)[:, BASE:]).max() > 0.1
+
+
+def test_the_limit_norm_is_over_twice_the_limit() -> None:
+    pairs = [(np.array([0.2, 0.3]), np.array([9.0, 9.0]))]
+    whole, each = relative_error(pairs, "limits", np.array([10.0, 30.0]))
+    assert each == pytest.approx([0.01, 0.005])
+    assert whole == pytest.approx(0.0075)
+
+
+def test_logs_are_cut_in_parts_or_blocks() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    x = np.column_stack([np.sin(t)])
+    log = Recording(t=t, q=x, tau=x, joint_names=("a",), source="log")
+    task = replace(tasks()["med7-blocks"], settings={"blocks": [5.0, 3]})
+    training, test = cut_logs(task, [log])
+    assert [(each.t[0], each.t[-1]) for each in test] == [pytest.approx((10.0, 14.9))]
+    assert [(each.t[0], each.t[-1]) for each in training] == [
+        *(pytest.approx((0.0, 9.9)), pytest.approx((15.0, 19.9)))
+    ]
+    halves = replace(task, settings={"trained": 0.25})
+    (first,), (rest,) = cut_logs(halves, [log])
+    assert (first.t[-1], rest.t[0]) == pytest.approx((4.9, 5.0))
+
+
+def test_loops_are_closed_by_pinocchio_as_by_asbuilt(tmp_path: Path) -> None:
+    """Joints of the tree and torque at the motors along a motion."""
+    model = load_robot(OPEN / "mechanisms" / "lever-arm.toml")
+    motion = random_fourier(model, rng=np.random.default_rng(1), duration=4.0).sample(100.0)
+    chains = ClosedChains(closed_facts(model, tmp_path, np.array(model.gravity)))
+    states = chains.motion(motion.q, motion.qd, motion.qdd)
+    own = model.link_motion(motion.q, motion.qd, motion.qdd)
+    for found, expected in zip(states, (own.q, own.qd, own.qdd, own.shares), strict=True):
+        assert found == pytest.approx(expected, abs=1e-6)
+    tau = inverse_dynamics(model, motion.q, motion.qd, motion.qdd)
+    assert chains.torque(motion.q, motion.qd, motion.qdd) == pytest.approx(tau, abs=1e-6)
+
+
+def test_checks_of_a_closed_chain_try_no_posture_out_of_reach() -> None:
+    """Columns swapped or zeros shifted would leave the reach of the loops: no error of motion."""
+    model = load_robot(OPEN / "mechanisms" / "lever-arm.toml")
+    motion = random_fourier(model, rng=np.random.default_rng(1), duration=12.0)
+    log = VirtualRobot.preset("lab", model, rng=1).record(motion, rng=1, rate=100.0).recording
+    assert not [each for each in check_recording(model, log).findings if each.severity == "error"]

@@ -85,7 +85,8 @@ def first_link(page):
     [
         (9, -1.0, "m of link .* is -1.0"),
         (9, True, "m of link .* is True"),
-        (0, 1e308, "Ixx of link .* is 1e"),
+        (0, 1e70, "Ixx of link .* is 1e"),
+        (0, 1e308, "it holds the number 1e"),
         (0, "3", "Ixx of link .* is 3; it must be a number"),
         (0, None, "Ixx of link .* is None"),
         (0, 50.0, "no body has the numbers of link"),
@@ -97,7 +98,7 @@ def test_numbers_of_no_body_are_refused(place, value, said, tmp_path) -> None:
         read_sibling(path)
 
 
-@pytest.mark.parametrize("value", [-0.1, True, 1e300, "nan"])
+@pytest.mark.parametrize("value", [-0.1, True, 1e70, "nan"])
 def test_drives_that_are_not_passive_are_refused(value, tmp_path) -> None:
     def change(page):
         page["drives"][next(iter(page["drives"]))]["viscous"] = value

@@ -39,6 +39,7 @@ from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.tables.mass_tables import exported_masses
 
 PACKAGE = "asbuilt"
+VERSION = asbuilt.__version__  # of the tree that runs, which may be no installed one
 REQUIRES: list[str] = []
 TITLE = "asbuilt"
 ADDRESS = "../index.md"

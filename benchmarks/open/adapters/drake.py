@@ -18,7 +18,8 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from regression import Regression
 
 PACKAGE = "drake"
-REQUIRES = ["drake", "scipy"]
+REQUIRES = ["drake>=1.58", "scipy"]
+PYTHON = "3.12"
 TITLE = "Drake"
 ADDRESS = "https://drake.mit.edu"
 REGULARISATION = 1e-3
@@ -71,7 +72,8 @@ def tree_regressor(facts: Facts) -> tuple[Any, Any]:
     (instance,) = Parser(plant).AddModels(facts.urdf)
     joints = [plant.GetJointByName(name, instance) for name in facts.tree_joints]
     root = joints[0].parent_body()
-    if root.index() != plant.world_body().index():
+    fixed = {plant.get_joint(k).child_body().index() for k in plant.GetJointIndices(instance)}
+    if root.index() != plant.world_body().index() and root.index() not in fixed:
         plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.mutable_gravity_field().set_gravity_vector(facts.gravity)
     plant.Finalize()

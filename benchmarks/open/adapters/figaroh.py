@@ -19,7 +19,7 @@ from figaroh.data.trajectory import TrajectoryData
 from figaroh.identification.base_identification import BaseIdentification
 from figaroh.tools.regressor import build_regressor_basic, build_regressor_reduced
 from figaroh.tools.robot import load_robot
-from plain import EDGE, Motion, uniform
+from plain import Motion, uniform
 from regression import INERTIAL
 
 PACKAGE = "figaroh"
@@ -55,7 +55,18 @@ def fit(facts: Facts) -> Fit:
     if not (arm._physical_fit or {}).get("accepted"):
         note = f"its physical fit: {(arm._physical_fit or {}).get('reason', 'none')}"[:120]
     names = list(arm.standard_parameter)
-    return Fit(predict, estimates(arm, facts), links(record, names, facts), note)
+    return Fit(
+        predict, estimates(arm, facts), links(record, names, facts), f"{note}; {verdict(arm)}"
+    )
+
+
+def verdict(arm: Any) -> str:
+    """Return what its `verify` says of the run (prediction needs limits that the user states)."""
+    report = arm.verify(scope="execution")
+    passed = getattr(report, "passed", None)
+    if passed is None and isinstance(report, dict):
+        passed = report.get("passed")
+    return f"verify: {'passed' if passed else 'not passed'} (numbers finite)"
 
 
 class Arm(BaseIdentification):
@@ -78,7 +89,8 @@ class Arm(BaseIdentification):
             grid = np.arange(log["t"][0], log["t"][-1], 1.0 / self.facts.rate)
             q.append(uniform(log["t"], log["q"], grid))
             tau.append(uniform(log["t"], log["tau"], grid))
-            mask.append((grid > grid[0] + EDGE) & (grid < grid[-1] - EDGE))
+            edge = self.facts.edge
+            mask.append((grid > grid[0] + edge) & (grid < grid[-1] - edge))
         position = np.concatenate(q)
         return TrajectoryData(
             t=np.arange(len(position)) / self.facts.rate,
@@ -119,7 +131,7 @@ def configuration(facts: Facts) -> dict[str, Any]:
                     "actuator_inertias": zero,
                     "joint_offsets": zero,
                 },
-                "coupling": {"has_coupled_wrist": False},
+                "coupling": {"has_coupled_wrist": bool(facts.settings.get("coupled_wrist"))},
             },
         },
         "tasks": {

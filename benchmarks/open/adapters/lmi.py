@@ -15,7 +15,8 @@ import numpy as np
 import pinocchio as pin
 from adapter import Facts, Fit
 from flyer import Flyer, described
-from pinocchio_regressor import FROM_PINOCCHIO, tree_regressor
+from loops import regression_of
+from pinocchio_regressor import FROM_PINOCCHIO
 from regression import Regression
 
 PACKAGE = "cvxpy"
@@ -30,7 +31,7 @@ def fit(facts: Facts) -> Fit:
     model = pin.buildModelFromUrdf(facts.urdf)
     joints = [model.getJointId(name) for name in facts.tree_joints]
     cad = np.array([model.inertias[j].toDynamicParameters()[FROM_PINOCCHIO] for j in joints])
-    return consistent_fit(Regression(facts, tree_regressor(facts)), cad)
+    return consistent_fit(regression_of(facts), cad)
 
 
 def fit_legs(facts: Facts) -> Fit:
@@ -40,6 +41,8 @@ def fit_legs(facts: Facts) -> Fit:
 
 def consistent_fit(regression: Regression, cad: Any) -> Fit:
     """Return the consistent links (n, 10) that fit best near those of the description."""
+    if not np.any(cad):
+        raise NotImplementedError("its distance is one from masses, which the description lacks")
     W, tau = regression.stacked(regression.facts.plain())
     w = regression.weights(W, tau)
     R = np.linalg.qr(np.column_stack([W * w[:, None], tau * w]), mode="r")
@@ -81,6 +84,9 @@ def pullback(prior: Any) -> Any:
     """Return the metric (10, 10) of the pseudo-inertias at a link: `tr(P^-1 V_i P^-1 V_j)`."""
     P = pseudo(prior)
     P = P + 1e-6 * np.trace(P) * np.eye(4)
+    values, axes = np.linalg.eigh(P)
+    if values[0] <= 0.0:  # bodies that cannot exist: the nearest that can
+        P = axes @ np.diag(np.maximum(values, 1e-6 * np.trace(P))) @ axes.T
     basis = [np.linalg.solve(P, pseudo(row)) for row in np.eye(10)]
     M = np.array([[np.trace(a @ b) for b in basis] for a in basis])
     return 0.5 * (M + M.T) + 1e-9 * np.trace(M) * np.eye(10)

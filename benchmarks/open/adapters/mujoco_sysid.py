@@ -34,7 +34,7 @@ def fit(facts: Facts) -> Fit:
     spec = specification(facts, facts.urdf)
     model = spec.compile()
     motions = facts.plain()
-    motion = thinned(motions, ROWS)
+    motion = thinned(motions, ROWS, facts.edge)
     scale = np.sqrt(np.mean(motion.tau**2, axis=0))  # as its `normalize_residual`
     parameters = sysid.ParameterDict()
     for name in facts.tree_links:
@@ -176,11 +176,11 @@ def parameter(name: str, value: float, low: float, high: float, joint: str, fiel
     return sysid.Parameter(name, value, low, high, modifier=modifier)
 
 
-def thinned(motions: list[Motion], rows: int) -> Motion:
+def thinned(motions: list[Motion], rows: int, edge: float) -> Motion:
     """Return so many samples of all logs, evenly."""
     parts = []
     for motion in motions:
-        inner = motion.inner()
+        inner = motion.inner(edge)
         count = rows // len(motions)
         at = np.linspace(inner.start, inner.stop - 1, count).astype(int)
         parts.append(Motion(*(x[at] for x in motion)))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from adapter import Estimate, Facts, Fit
 from flyer import Flyer
-from pinocchio_regressor import tree_regressor
-from regression import Regression
+from loops import regression_of
 
 PACKAGE = "pin"
 REQUIRES = ["pin>=3.4", "scipy"]
@@ -15,17 +14,17 @@ ADDRESS = "https://github.com/stack-of-tasks/pinocchio"
 
 def fit(facts: Facts) -> Fit:
     """Identify base parameters."""
-    return Regression(facts, tree_regressor(facts)).weighted_fit()
+    return regression_of(facts).weighted_fit()
 
 
 def payload(facts: Facts) -> list[Estimate]:
     """Weigh what the last link carries."""
-    return [Regression(facts, tree_regressor(facts)).payload()]
+    return [regression_of(facts).payload()]
 
 
 def weights(facts: Facts) -> list[Estimate]:
     """Return the first moments of what a body carries, log by log."""
-    return Regression(facts, tree_regressor(facts)).moments()
+    return regression_of(facts).moments()
 
 
 def fit_legs(facts: Facts) -> Fit:

@@ -333,7 +333,10 @@ def _find_other_sheet(given: Sequence[str], kind: str, values: Mapping[str, Any]
         return ""
     from asbuilt.experiment.logs.sheet import find_sheet_of_another
 
-    return str(find_sheet_of_another(Path(log)) or "")
+    # A name that cannot be looked for has no sheet either.
+    with contextlib.suppress(OSError):
+        return str(find_sheet_of_another(Path(log)) or "")
+    return ""
 
 
 def _say(text: str) -> None:

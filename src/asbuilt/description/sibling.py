@@ -133,8 +133,12 @@ def read_sibling(path: str | Path) -> Sibling:
                 f"{path} has no robot as built: {problem.message}", cure=cure
             ) from None
         raise DescriptionError(
-            f"{path} has no robot as built: {type(problem).__name__}: {problem}", cure=cure
+            f"{path} has no robot as built: {_explain_problem(problem)}", cure=cure
         ) from problem
+
+
+def _explain_problem(problem: Exception) -> str:
+    return f"it lacks {problem}" if isinstance(problem, KeyError) else str(problem)
 
 
 MASS = Range(0.0, 1e5, "kg")

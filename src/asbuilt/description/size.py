@@ -22,16 +22,17 @@ class SizeUnits(NamedTuple):
 
 
 def find_size_units(model: RobotModel) -> SizeUnits:
-    """Return the millimetre, metre or kilometre, and the milligram, kilogram or kilotonne.
+    """Return the millimetre, metre or kilometre, and the microgram, kilogram or megatonne.
 
     The nearest to the length of the longest chain and to the mass of all links, one and one for
-    arms from 3 cm to 30 m and from a gram to a tonne. Numbers of such arms are then the same
-    whatever their size.
+    arms from 3 cm to 30 m and from 32 mg to 32 t: steps of mass are cubes of those of length, and
+    all arms that are sold lie within one. Numbers of such arms are then the same whatever their
+    size.
     """
     masses = [link.inertia.mass for link in model.links if link.inertia.mass > 0.0]
     return SizeUnits(
         find_prefix(float(np.max(measure_distances(model), initial=0.0)), 1e3),
-        find_prefix(float(np.sum(masses)), 1e6),
+        find_prefix(float(np.sum(masses)), 1e9),
     )
 
 

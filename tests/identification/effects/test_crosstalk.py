@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import bundled_robot
-from asbuilt.dynamics import DriveSet, inverse_dynamics
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import VirtualRobot, prepare_samples
 from asbuilt.identification import find_effects
@@ -33,8 +33,8 @@ def found(source, seed=1):
 def test_columns_are_the_torques_of_the_other_joints_in_their_order() -> None:
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 5, 6))
-    drive = DriveSet()
-    robot = Described(MODEL, drive, MODEL.parameters, "sensor", (qd,), np.ones(6))
+    base = find_base_parameters(MODEL, DriveSet())
+    robot = Described(MODEL, base, MODEL.parameters, "sensor", (qd,), np.ones(6))
     (variant,) = CrossTalk().variants(robot)
     columns = CrossTalk().columns(variant, Motion(robot, 100.0, q, qd, qdd, np.zeros(5)))
     tau = inverse_dynamics(MODEL, q, qd, qdd)

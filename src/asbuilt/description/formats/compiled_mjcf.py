@@ -61,13 +61,25 @@ class Actuators:
         found = np.inf
         for actuator in self.of(joint):
             gear = abs(float(m.actuator_gear[actuator, 0]))
-            # MuJoCo limits the whole force, its constant and the servo's part together.
             if m.actuator_forcelimited[actuator]:
-                found = min(found, float(np.abs(m.actuator_forcerange[actuator]).max()) * gear)
+                found = min(found, self._read_force_limit(actuator) * gear)
             if m.actuator_ctrllimited[actuator] and self.is_motor(actuator):
                 most = float(np.abs(m.actuator_ctrlrange[actuator]).max())
                 found = min(found, abs(float(m.actuator_gainprm[actuator, 0])) * most * gear)
         return found
+
+    def _read_force_limit(self, actuator: int) -> float:
+        """Return the largest force of an actuator.
+
+        MuJoCo limits the whole force, its constant and the servo's part together. A range about
+        the constant, as exports write it, limits what acts beside the constant.
+        """
+        low, high = self.model.actuator_forcerange[actuator]
+        constant = self._read_constant(actuator)
+        half = 0.5 * float(high - low)
+        if constant != 0.0 and np.isclose(0.5 * (low + high), constant, rtol=1e-9, atol=1e-9):
+            return half
+        return float(max(abs(low), abs(high)))
 
     def own(self, joint: int, quantity: Literal["armature", "damping"]) -> float:
         """Return armature or damping of the actuators of a joint, on its side of the gear."""

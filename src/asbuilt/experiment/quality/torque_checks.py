@@ -66,15 +66,16 @@ def check_torques(
     ratio = 1.0 if PLAUSIBLE[0] < fit.ratio < PLAUSIBLE[1] else fit.ratio
     fit = replace(fit, tau=fit.tau * (1.0 / ratio))
     best = find_best_assignment(fit)
-    # The masses of CAD may prefer a swap that any masses refute.
-    if best is not fit and compare_by_any_masses(fit, best) < 0:
+    # The masses of CAD may prefer a swap that any masses refute; an error needs both.
+    by_masses = 0 if best is fit else compare_by_any_masses(fit, best)
+    if by_masses < 0:
         best = fit
     stated = "zero" in recording.first.stated
     other = check_conventions(best, believed=stated)
     if other is None and not stated:
         other = check_zeros(best, of_encoders=_list_wrapped_joints(recording))
     if best is not fit:
-        yield _report_swapped(fit, best)
+        yield _report_swapped(fit, best, "error" if by_masses > 0 else "warning")
     if other is not None:
         yield other[0]
         best = other[1]
@@ -158,7 +159,7 @@ def _report_driven_motion(
     )
 
 
-def _report_swapped(fit: TorqueFit, best: TorqueFit) -> Finding:
+def _report_swapped(fit: TorqueFit, best: TorqueFit, severity: Severity) -> Finding:
     names = fit.model.joint_names
     # Torque and motion may be swapped apart: a file may mix either.
     moved = [k for k in range(len(names)) if best.torque_of[k] != k or best.motion_of[k] != k]
@@ -175,10 +176,10 @@ def _report_swapped(fit: TorqueFit, best: TorqueFit) -> Finding:
     before, after = (float(np.mean(np.abs(f.correlation[moved]))) for f in (fit, best))
     return Finding(
         "joints_swapped",
-        "error",
-        f"joints look swapped: {join_names(fits)} (mean correlation with the model's torque"
-        f" {after:.3f}"
-        f" instead of {before:.3f})",
+        severity,
+        f"joints {'look' if severity == 'error' else 'may be'} swapped: {join_names(fits)} (mean"
+        f" correlation with the model's torque {after:.3f} instead of {before:.3f})"
+        f"{'' if severity == 'error' else '; other masses explain the log as it is as well'}",
         Cure("name the columns in a recording sheet: [columns] position = [...], torque = [...]"),
         joint=names[moved[0]],
     )

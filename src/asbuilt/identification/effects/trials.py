@@ -298,7 +298,7 @@ class Trials:
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
         x = self.values_of([candidate])[0]
-        blocks = np.arange(len(self.equations.counts))
+        blocks = np.arange(self.equations.n_blocks)
         found = []
         for half in np.array_split(blocks, 2):
             gram = self.equations.stacked(self.weights, half)
