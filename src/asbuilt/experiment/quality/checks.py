@@ -209,7 +209,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     """Check clock, missing values, units, signs, order of joints, limits, filters and excitation.
 
     Where the clock is wrong, only the clock and missing values are checked. A stream is read
-    twice; besides its times only a dozen segments of it are held in memory.
+    twice; a dozen segments of it and the times of a million samples at most are held in memory.
 
     Parameters
     ----------

@@ -387,6 +387,8 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
         low, high = np.quantile(x[some], [0.005, 0.995])
         # Own choices, tested on 25 real logs: a spike has 15 times the prominence that noise
         # reaches, and a tenth of the range of the torque;
+        if not prominence.max() > 0.1 * (high - low):
+            continue
         usual = np.quantile(prominence[some], 0.9)
         rows = np.flatnonzero(prominence > max(15.0 * usual, 0.1 * (high - low)))
         above = prominence[rows]
