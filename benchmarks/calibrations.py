@@ -16,7 +16,7 @@ from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters

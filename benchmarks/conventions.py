@@ -17,11 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
+from asbuilt.description.load import bundled_robot, load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording

@@ -20,8 +20,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
-from asbuilt.identification.uncertainty.uncertainty import estimate_block_uncertainty
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -30,7 +28,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.executor import open_workers
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -42,6 +40,11 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
+)
+from asbuilt.identification.uncertainty.uncertainty import (
+    estimate_block_uncertainty,
+    estimate_bootstrap_uncertainty,
+    redraw,
 )
 from calibrations import Setting, delay_errors, gain_errors
 from lacking import LACKING, ROBOTS, trials

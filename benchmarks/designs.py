@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import robot_names
-from asbuilt.description.load import load_robot
+from asbuilt.description.load import load_robot, robot_names
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.design.design import design_motion

@@ -17,8 +17,8 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.samples import hold_out
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.identification.identify import identify_samples

@@ -31,8 +31,8 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.study_options import StudyOptions

@@ -22,7 +22,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain

@@ -19,14 +19,14 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.design.design import choose_size, design_motion
 from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
-from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import (
+    DOptimality,
     Information,
     mean_information,
     parameter_scale,
 )
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.excitation.state_constraint import TorqueLimit
 from asbuilt.executor import count_cores
 

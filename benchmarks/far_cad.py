@@ -14,7 +14,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.torque import choose_usual_drive
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.study import Study, identify

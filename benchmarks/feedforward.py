@@ -14,13 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.load import bundled_robot
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.excitation.motions.motion import Trajectory
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
+from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, track
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.experiment.virtual.tracking import track
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.study_options import StudyOptions

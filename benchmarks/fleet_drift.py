@@ -35,7 +35,7 @@ from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 CHANGES = ("payload", "friction", "gain", "tilt")

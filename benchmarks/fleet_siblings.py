@@ -15,7 +15,7 @@ import json
 
 import numpy as np
 
-from asbuilt.apps.fleet.siblings import (
+from asbuilt.apps.fleet.identification import (
     SiblingPrior,
     derive_posterior_uncertainty,
     estimate_prior,
@@ -27,7 +27,7 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.workflow.study import Study, identify
 from named_effects import named_effects

@@ -18,15 +18,14 @@ from typing import Any
 import numpy as np
 
 from asbuilt.apps.watch.causal_filter import largest_velocity_error
-from asbuilt.apps.watch.contact import find_smallest_forces, frame_jacobian
-from asbuilt.apps.watch.events import find_events
+from asbuilt.apps.watch.events import find_events, find_smallest_forces, frame_jacobian
 from asbuilt.apps.watch.observed import ModelError, Observed
 from asbuilt.apps.watch.observer import Observer
 from asbuilt.apps.watch.thresholds import Thresholds, bound_residual, set_thresholds
 from asbuilt.apps.watch.watched_log import ELSEWHERE
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.load import bundled_robot
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
+from asbuilt.excitation.motions.fourier import random_fourier, random_point_to_point
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import choose_payload_frame

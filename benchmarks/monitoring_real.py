@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from asbuilt.apps.watch.contact import WITHIN, frame_jacobian
+from asbuilt.apps.watch.events import WITHIN, frame_jacobian
 from asbuilt.apps.watch.observed import ModelError, Observed
 from asbuilt.apps.watch.observer import BANDWIDTH, Observer
 from asbuilt.apps.watch.thresholds import HALF, Thresholds, delay_velocities, set_thresholds

@@ -18,7 +18,7 @@ from scipy.stats import binom
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot

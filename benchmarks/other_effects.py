@@ -29,7 +29,7 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.delays import settle_delays
 from asbuilt.workflow.prepare import digest_recording
-from asbuilt.writers.tables.mass_tables import exported_masses
+from asbuilt.writers.tables.tabular import exported_masses
 from drive_terms import SHARED
 from recorded_robots import recorded_robots, sets_of
 

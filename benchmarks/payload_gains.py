@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.load import bundled_robot
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
@@ -22,7 +22,7 @@ from asbuilt.identification.calibration.payload import (
     identify_payload_samples,
 )
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.cause_data import gather_cause_data
+from asbuilt.identification.information.equations import gather_cause_data
 
 ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 DRAWS = 60

@@ -13,7 +13,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import build_cad_prior

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.description.load import bundled_robot
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.recovery import Recovery, compare_with_truth

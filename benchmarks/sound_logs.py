@@ -17,7 +17,7 @@ import numpy as np
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import JointLimits, RobotModel
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from outside_robot import OutsideRobot, Sensors, other_bodies, with_body

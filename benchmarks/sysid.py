@@ -21,8 +21,8 @@ import mujoco
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.mjcf_text import format_mjcf
+from asbuilt.description.load import bundled_robot
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
@@ -33,7 +33,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.trajectories.refined_fit import refine_fit
-from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
+from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 ROBOT = "ur10e"

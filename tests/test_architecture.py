@@ -43,7 +43,6 @@ LEAVES = (
     "compilation",
     "errors",
     "executor",
-    "faces",
     "findings",
     "isolated_reading",
     "isolation",

@@ -16,7 +16,7 @@ from page import MISSING, read_results, split_text
 from task import HERE, RESULTS, Task, tasks
 
 from asbuilt.tables import format_share, round_with_error
-from asbuilt.validation.letter import LETTERS
+from asbuilt.validation.prediction import LETTERS
 
 DOCS = HERE.parents[1] / "docs" / "robots"
 NUMBERS = HERE / "robots"

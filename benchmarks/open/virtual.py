@@ -22,7 +22,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.parameters import parameter_names
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.writers.models.urdf import format_urdf
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))

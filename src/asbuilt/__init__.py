@@ -6,7 +6,7 @@
 43
 """
 
-from asbuilt.faces import attach_face
+from asbuilt.registry import attach_face
 
 __getattr__, _list_all_names, _ = attach_face(__name__, __file__)
 

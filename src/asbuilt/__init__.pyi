@@ -13,16 +13,16 @@ from .apps.fleet.report import write_fleet_report as write_fleet_report
 from .apps.masses.computed_masses import link_masses as link_masses
 from .apps.paper.demo import run_demo as run_demo
 from .apps.paper.reproduction import reproduce_paper as reproduce_paper
-from .apps.programs.controller_program import make_program as make_program
+from .apps.programs.program_writers import make_program as make_program
 from .apps.watch.observer import Observer as Observer
 from .apps.watch.options import WatchOptions as WatchOptions
 from .apps.watch.thresholds import Thresholds as Thresholds
 from .apps.watch.thresholds import set_thresholds as set_thresholds
 from .apps.watch.watched_log import read_thresholds as read_thresholds
 from .apps.watch.watching import watch as watch
-from .description.catalogue import robot_names as robot_names
 from .description.inertia import LinkInertia as LinkInertia
 from .description.load import load_robot as load_robot
+from .description.load import robot_names as robot_names
 from .description.model import RobotModel as RobotModel
 from .dynamics.base.base_parameters import BaseParameters as BaseParameters
 from .dynamics.base.base_parameters import find_base_parameters as find_base_parameters
@@ -47,9 +47,9 @@ from .excitation.design.design import design_motion as design_motion
 from .excitation.design.design_options import DesignOptions as DesignOptions
 from .excitation.design.designed_motion import Design as Design
 from .excitation.design.static_poses import design_static_poses as design_static_poses
+from .excitation.motions.fourier import random_fourier as random_fourier
+from .excitation.motions.fourier import random_point_to_point as random_point_to_point
 from .excitation.motions.motion_csv import read_motion as read_motion
-from .excitation.motions.random_motion import random_fourier as random_fourier
-from .excitation.motions.random_motion import random_point_to_point as random_point_to_point
 from .executor import open_workers as open_workers
 from .experiment.logs.readers import read_recording as read_recording
 from .experiment.logs.reading_options import ReadingOptions as ReadingOptions
@@ -66,7 +66,9 @@ from .findings import Cure as Cure
 from .findings import Finding as Finding
 from .identification.ensembles.ensemble import Ensemble as Ensemble
 from .identification.ensembles.ensemble import draw_ensemble as draw_ensemble
-from .identification.estimators.recursive import RecursiveIdentification as RecursiveIdentification
+from .identification.estimators.least_squares import (
+    RecursiveIdentification as RecursiveIdentification,
+)
 from .identification.identify import identify_samples as identify_samples
 from .identification.result.feasible import FeasibleInterval as FeasibleInterval
 from .identification.result.feasible import feasible_intervals as feasible_intervals

@@ -1,14 +1,18 @@
-"""Names: registries of objects, options by keyword, and the nearest known name of a wrong one."""
+"""Names: registries of objects, options by keyword, the nearest known name, and public faces."""
 
 from __future__ import annotations
 
+import ast
 import difflib
 import pkgutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar
+
+import lazy_loader
 
 from asbuilt.errors import UsageError
 
@@ -191,3 +195,28 @@ def _list_modules(place: str) -> list[str]:
     if folder is None:
         return [place]
     return [package.name for package in pkgutil.walk_packages(folder, f"{place}.")]
+
+
+Face = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
+"""`__getattr__`, `__dir__` and `__all__` of a package."""
+
+
+def attach_face(package: str, file: str) -> Face:
+    """Return the face of a package whose names are imported when they are first used.
+
+    The stub next to `file` names them, as `lazy_loader.attach_stub` reads it; lines of an app whose
+    folder is missing are passed over.
+    """
+    stub = Path(file).with_suffix(".pyi")
+    names: dict[str, list[str]] = {}
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom) and _is_installed(stub.parent, str(node.module)):
+            names.setdefault(str(node.module), []).extend(alias.name for alias in node.names)
+    face: Face = lazy_loader.attach(package, submod_attrs=names)
+    return face
+
+
+def _is_installed(folder: Path, module: str) -> bool:
+    """Return whether a module belongs to no app, or to one that is there."""
+    first, *below = module.split(".")
+    return first != "apps" or (folder / first / below[0]).is_dir()

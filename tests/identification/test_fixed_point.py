@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.identification.fixed_point import FixedPoint
+from asbuilt.identification.estimators.least_squares import FixedPoint
 
 
 def test_a_slow_linear_iteration_of_three_numbers_ends_after_five_steps() -> None:

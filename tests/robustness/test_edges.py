@@ -16,7 +16,7 @@ from asbuilt.excitation import read_motion
 from asbuilt.experiment import LogTable, read_recording, suggest_sheet
 from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT
 from asbuilt.experiment.logs.formats.log_format import tabulate_variables
-from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.skeleton import MotionView
 from command_line import call
 from fleet_logs import write_logs
 from robustness import corpus

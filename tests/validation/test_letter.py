@@ -6,7 +6,7 @@ import pytest
 from asbuilt import load_robot, review
 from asbuilt.errors import UsageError
 from asbuilt.experiment import Recording
-from asbuilt.validation.letter import LETTERS, LetterRule
+from asbuilt.validation.prediction import LETTERS, LetterRule
 
 
 def test_each_letter_begins_where_the_one_before_ends() -> None:

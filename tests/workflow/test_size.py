@@ -12,7 +12,7 @@ import pytest
 
 from asbuilt import identify
 from asbuilt.description import bundled_robot
-from asbuilt.description.size import find_size_units
+from asbuilt.description.appearance import find_size_units
 from asbuilt.dynamics import DriveSet
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import VirtualRobot

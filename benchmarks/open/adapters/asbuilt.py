@@ -36,7 +36,7 @@ from asbuilt.workflow.calibration import identify_moments
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.study_options import PayloadOptions
 from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.tables.mass_tables import exported_masses
+from asbuilt.writers.tables.tabular import exported_masses
 
 PACKAGE = "asbuilt"
 VERSION = asbuilt.__version__  # of the tree that runs, which may be no installed one

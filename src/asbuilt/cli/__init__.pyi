@@ -26,6 +26,6 @@ from .arguments.options import require_writable_file as require_writable_file
 from .arguments.options import require_writable_folder as require_writable_folder
 from .arguments.spread import name_option as name_option
 from .arguments.spread import require_known_value as require_known_value
-from .entry import Entries as Entries
-from .entry import Entry as Entry
+from .commands import Entries as Entries
+from .commands import Entry as Entry
 from .start import run as run

@@ -24,8 +24,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from asbuilt.cli.answers import describe_cure, fold_text, open_screen
 from asbuilt.cli.arguments.spread import Common, print_version, spread
-from asbuilt.cli.commands import ABSENT, COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS
-from asbuilt.cli.entry import Entry
+from asbuilt.cli.commands import ABSENT, COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
 from asbuilt.untrusted import (

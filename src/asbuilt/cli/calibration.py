@@ -245,7 +245,7 @@ def payload(
         read_recordings_of_robot(identified.model, logs, reading)
         for logs in (log, unloaded, validate)
     )
-    from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
+    from asbuilt.identification.calibration.payload_rows import parse_gain_uncertainty
     from asbuilt.workflow.calibration import identify_moments
 
     options = replace(

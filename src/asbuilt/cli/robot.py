@@ -43,7 +43,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.codec import format_json
-from asbuilt.description.catalogue import bundled_robot, robot_names
+from asbuilt.description.load import bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.experiment.logs.reading_options import parse_gravity
 from asbuilt.tables import stack_tables

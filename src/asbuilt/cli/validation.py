@@ -304,7 +304,7 @@ def compare(
             else validation.CadTolerance.parse(cad_tolerance),
         ),
         asbuilt.attribute(identified, design)
-        if identified.cause_data is not None and not identified.model.n_floating
+        if identified.cause_data is not None and not identified.model.mixes_joints
         else None,
         identification.determination(identified),
     )

@@ -1,7 +1,5 @@
 from .appearance import Solid as Solid
 from .appearance import link_solids as link_solids
-from .catalogue import bundled_robot as bundled_robot
-from .catalogue import robot_names as robot_names
 from .finite import parse_finite_number as parse_finite_number
 from .finite import read_rows as read_rows
 from .formats.dh import DHRow as DHRow
@@ -15,7 +13,9 @@ from .formats.xml import read_extents as read_extents
 from .formats.xml import read_numbers as read_numbers
 from .formats.xml import read_origin as read_origin
 from .inertia import LinkInertia as LinkInertia
+from .load import bundled_robot as bundled_robot
 from .load import load_robot as load_robot
+from .load import robot_names as robot_names
 from .meshes import MeshMeasures as MeshMeasures
 from .meshes import measure_mesh as measure_mesh
 from .model import RobotModel as RobotModel

@@ -1,4 +1,4 @@
-"""How a robot is drawn where there are no meshes.
+"""Size of links where there are no meshes: to draw them, and as units of tolerances.
 
 Rods and housings from its geometry, ellipsoids from its inertias.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -150,3 +150,34 @@ def measure_distances(model: RobotModel) -> Array:
         )
         along[k] = before + own + tip
     return along
+
+
+class SizeUnits(NamedTuple):
+    """Hold a unit of length [m] and one of mass [kg]."""
+
+    length: float
+    mass: float
+
+    def torque(self, *, revolute: bool) -> float:
+        """Return the unit of torque or force at a joint [N m or N]."""
+        return self.mass * self.length ** (2 if revolute else 1)
+
+
+def find_size_units(model: RobotModel) -> SizeUnits:
+    """Return the millimetre, metre or kilometre, and the microgram, kilogram or megatonne.
+
+    The nearest to the length of the longest chain and to the mass of all links, one and one for
+    arms from 3 cm to 30 m and from 32 mg to 32 t: steps of mass are cubes of those of length, and
+    all arms that are sold lie within one. Numbers of such arms are then the same whatever their
+    size.
+    """
+    masses = [link.inertia.mass for link in model.links if link.inertia.mass > 0.0]
+    return SizeUnits(
+        find_prefix(float(np.max(measure_distances(model), initial=0.0)), 1e3),
+        find_prefix(float(np.sum(masses)), 1e9),
+    )
+
+
+def find_prefix(size: float, step: float) -> float:
+    """Return the power of a step that is nearest to a size by its logarithm; 1 of nothing."""
+    return float(step ** round(np.log(size) / np.log(step))) if size > 0.0 else 1.0

@@ -1,16 +1,17 @@
-"""One way in for every robot description."""
+"""One way in for every robot description, and the robots that come with asbuilt."""
 
 from __future__ import annotations
 
 import difflib
 import os
 from dataclasses import replace
+from functools import lru_cache
 from importlib import import_module
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
 
-from asbuilt.description.catalogue import bundled_robot, robot_names, suggest_robot
 from asbuilt.description.formats.description_format import FORMATS, format_of, list_suffixes
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
@@ -172,3 +173,48 @@ def _check_base(model: RobotModel, base: BaseKind) -> RobotModel:
         " does not give, so that it cannot float",
         cure=Cure("give a URDF, or an MJCF with a <freejoint/>"),
     )
+
+
+_FOLDER = files("asbuilt.description") / "robots"
+
+
+def robot_names() -> tuple[str, ...]:
+    """Return the names of the bundled robots, sorted."""
+    return tuple(
+        sorted(
+            entry.name.removesuffix(".toml")
+            for entry in _FOLDER.iterdir()
+            if entry.name.endswith(".toml")
+        )
+    )
+
+
+@lru_cache(maxsize=16)
+def bundled_robot(name: str) -> RobotModel:
+    """Return a bundled robot, read once: what is remembered for a robot is then found again.
+
+    Raises `DescriptionError` with the names there are and the nearest one.
+
+    >>> bundled_robot("kuka-iiwa7-r800").n_joints
+    7
+    """
+    from asbuilt.description.formats.toml import robot_from_toml  # noqa: PLC0415 - light start
+
+    if name not in robot_names():
+        raise DescriptionError(
+            f"there is no bundled robot {name!r}{suggest_robot(name)}; bundled are"
+            f" {', '.join(robot_names())}"
+        )
+    return robot_from_toml(
+        (_FOLDER / f"{name}.toml").read_text(encoding="utf-8"),
+        source=f"bundled robot {name}",
+        close=False,
+    )
+
+
+def suggest_robot(name: str) -> str:
+    """Return `" (did you mean 'puma-560'?)"` for the nearest bundled robot, or an empty text."""
+    matches = difflib.get_close_matches(
+        name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4
+    )
+    return f" (did you mean {matches[0]!r}?)" if matches else ""

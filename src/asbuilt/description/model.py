@@ -18,8 +18,9 @@ from asbuilt.description.structure.couplings import (
     derive_coupling,
     order_tree,
     separate_followers,
+    with_rotors,
 )
-from asbuilt.description.structure.free_base import count_base_joints
+from asbuilt.description.structure.free_base import BaseKind, classify_base, count_base_joints
 from asbuilt.description.structure.locking import (
     derive_locked_positions,
     find_assumed_carriers,
@@ -27,7 +28,6 @@ from asbuilt.description.structure.locking import (
     merge_locked_links,
 )
 from asbuilt.description.structure.loops import Loop
-from asbuilt.description.structure.motors import with_rotors
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
@@ -255,6 +255,19 @@ class RobotModel:
         """Number of coordinates of the base, which come first: 6, 3 if planar, 0 if it is fixed."""
         return count_base_joints(self.joints, self.links)
 
+    @property
+    def base_kind(self) -> BaseKind:
+        """How the base can move."""
+        return classify_base(self.n_floating)
+
+    @property
+    def mixes_joints(self) -> bool:
+        """Whether every equation has parts of all joints, as on a free base.
+
+        Then no joint has a delay or causes of its own.
+        """
+        return self.n_floating > 0
+
     @cached_property
     def standing(self) -> RobotModel:
         """The robot with its base held still at zero; itself on a fixed root."""
@@ -309,7 +322,7 @@ class RobotModel:
 
         Examples
         --------
-        >>> from asbuilt.description.catalogue import bundled_robot
+        >>> from asbuilt.description.load import bundled_robot
         >>> bundled_robot("puma-560").tool_link
         5
         """
@@ -616,7 +629,7 @@ class RobotModel:
 
         Examples
         --------
-        >>> from asbuilt.description.catalogue import bundled_robot
+        >>> from asbuilt.description.load import bundled_robot
         >>> elbow = bundled_robot("two-link").locked({"joint_2": 0.5})
         >>> elbow.joint_names, elbow.locked_joints
         (('joint_1',), {'joint_2': 0.5})

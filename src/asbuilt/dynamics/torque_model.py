@@ -1,4 +1,4 @@
-"""The torque of a robot and its drives as a function of motion, for control loops and batches."""
+"""The torque of a robot and its drives as a function of motion, for controllers and batches."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.batches import inertial_parameters, shape_joint_samples
 from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
-from asbuilt.dynamics.one_sample import OneSample
+from asbuilt.dynamics.newton_euler import OneSample, gravity_torque, inverse_dynamics, mass_matrix
 from asbuilt.errors import UsageError
 
 

@@ -3,11 +3,11 @@ from .collision.constraint import measure_clearance as measure_clearance
 from .design.design import design_motion as design_motion
 from .design.design_options import DesignOptions as DesignOptions
 from .design.designed_motion import Design as Design
+from .design.designed_motion import design_findings as design_findings
 from .design.multistart import SearchProgress as SearchProgress
 from .design.static_poses import StaticDesign as StaticDesign
 from .design.static_poses import design_static_poses as design_static_poses
-from .design_findings import design_findings as design_findings
-from .information.criteria import Criterion as Criterion
+from .information.information import Criterion as Criterion
 from .information.information import Information as Information
 from .information.information_bound import InformationBound as InformationBound
 from .information.information_bound import InformationEfficiency as InformationEfficiency
@@ -18,6 +18,8 @@ from .limits import MotionBounds as MotionBounds
 from .limits import check_motion as check_motion
 from .motions.bspline import BSplineMotion as BSplineMotion
 from .motions.fourier import FourierMotion as FourierMotion
+from .motions.fourier import random_fourier as random_fourier
+from .motions.fourier import random_point_to_point as random_point_to_point
 from .motions.motion import JUMPING as JUMPING
 from .motions.motion import Motion as Motion
 from .motions.motion import Trajectory as Trajectory
@@ -28,8 +30,6 @@ from .motions.motion_csv import times_to_end as times_to_end
 from .motions.parametrisation import PARAMETRISATIONS as PARAMETRISATIONS
 from .motions.parametrisation import Parametrisation as Parametrisation
 from .motions.piecewise import Concatenated as Concatenated
+from .motions.piecewise import SplineMotion as SplineMotion
 from .motions.point_to_point import PointToPointMotion as PointToPointMotion
 from .motions.quintic import QuinticMotion as QuinticMotion
-from .motions.random_motion import random_fourier as random_fourier
-from .motions.random_motion import random_point_to_point as random_point_to_point
-from .motions.spline import SplineMotion as SplineMotion

@@ -16,7 +16,13 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
 from asbuilt.identification.bodies.cad_prior import design_values
-from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
+from asbuilt.identification.drives.nonlinear_parameters import (
+    NonlinearErrors,
+    NonlinearFit,
+    NonlinearPlace,
+    estimate_nonlinear_errors,
+    fit_nonlinear,
+)
 from asbuilt.identification.estimators.least_squares import (
     estimate_wls,
     fit_least_squares,
@@ -39,13 +45,7 @@ from asbuilt.identification.result.torque_prediction import (
 )
 from asbuilt.identification.uncertainty.bias import OmittedBias
 from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
-from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.uncertainty.nonlinear_errors import (
-    NonlinearErrors,
-    NonlinearPlace,
-    estimate_nonlinear_errors,
-)
 from asbuilt.identification.uncertainty.pose_noise import (
     ExpectedScores,
     PoseNoise,
@@ -54,7 +54,9 @@ from asbuilt.identification.uncertainty.pose_noise import (
 from asbuilt.identification.uncertainty.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
+    estimate_bootstrap_uncertainty,
     estimate_textbook_uncertainty,
+    redraw,
 )
 
 # Say when friction that depends on load has settled: own choice, tested on virtual robots.

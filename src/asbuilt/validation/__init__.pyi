@@ -10,7 +10,6 @@ from .comparison.significance import benjamini_hochberg as benjamini_hochberg
 from .comparison.significance import format_probability as format_probability
 from .generalisation.cad_verdict import PredictionVerdict as PredictionVerdict
 from .generalisation.cad_verdict import cad_verdict as cad_verdict
-from .nearest_consistent import NearestModel as NearestModel
 from .prediction import Validation as Validation
 from .prediction import torque_units as torque_units
 from .prediction import validate_description as validate_description
@@ -30,3 +29,4 @@ from .rollout.rollout import SimulatedMotion as SimulatedMotion
 from .rollout.rollout import rollout_findings as rollout_findings
 from .verdicts.verdict import Verdict as Verdict
 from .verdicts.verdict import study_verdict as study_verdict
+from .verdicts.verdict_error import NearestModel as NearestModel

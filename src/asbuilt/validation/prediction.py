@@ -1,4 +1,4 @@
-"""Validation of an identified model: torque of a recording as measured, as built and by CAD."""
+"""Validation of an identified model: torque measured, as built and by CAD, and a letter for it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from asbuilt.dynamics import (
     gravity_torque,
     inverse_dynamics,
 )
-from asbuilt.errors import ResultError
+from asbuilt.errors import ResultError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification import IdentificationResult, TorqueMetrics
 from asbuilt.identification.bodies.cad_prior import design_values
@@ -26,6 +26,7 @@ from asbuilt.identification.result.torque_prediction import (
     predict_in_spans,
     predict_torque,
 )
+from asbuilt.tables import format_share
 from asbuilt.validation.residuals import (
     ResidualAnalysis,
     VelocityCurve,
@@ -274,3 +275,58 @@ def predict_friction_torque(
         load = rigid if friction.needs_load else None
         torque[span] = drive_torque(friction, values, *state, load=load, shares=shares)
     return torque
+
+
+NO_BETTER = "F"
+"""The letter of a model that is no better than none."""
+
+
+@dataclass(frozen=True, slots=True)
+class LetterRule:
+    """Relative torque error `|tau - tau_hat| / |tau|` below which a model has each letter.
+
+    `A` is what is left on arms with joint torque sensors if the model has all that acts (LWR4+ on
+    another motion: 2 to 3 %); each further letter up to `D` allows twice as much. Predicting no
+    torque at all has an error of 1, so that `E` is better than that, and `F` no better.
+    """
+
+    limits: tuple[tuple[str, float], ...] = (
+        ("A", 0.03),
+        ("B", 0.06),
+        ("C", 0.12),
+        ("D", 0.25),
+        ("E", 1.0),
+    )
+
+    def letter(self, error: float) -> str:
+        """Return the letter of a relative torque error on motion that was not fitted.
+
+        Raises
+        ------
+        UsageError
+            If the error is no number of 0 or more.
+
+        Examples
+        --------
+        >>> LETTERS.letter(0.023), LETTERS.letter(0.24), LETTERS.letter(1.3)
+        ('A', 'D', 'F')
+        """
+        if not error >= 0.0:
+            # The first limit that the error is below.
+            raise UsageError(f"a relative torque error is 0 or more, got {error}", value=error)
+        return next((name for name, limit in self.limits if error < limit), NO_BETTER)
+
+    @property
+    def text(self) -> str:
+        """The rule in a sentence."""
+        (first, least), *graded, (last, _) = self.limits
+        more = ", ".join(f"{name} {format_share(limit, 0)}" for name, limit in graded)
+        return (
+            f"{first} within {format_share(least, 0)}, {more}, {last} better than no model,"
+            f" {NO_BETTER} no"
+            " better"
+        )
+
+
+LETTERS = LetterRule()
+"""The rule of every letter that is printed."""

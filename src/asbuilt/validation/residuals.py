@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.signal.spectrum import power_density
+from asbuilt.experiment.signal.band_choice import power_density
 
 Segments = tuple[tuple[int, int], ...]
 

@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment import Recording, SignalChain, resolve_chain
-from asbuilt.experiment.signal.hold_out import parse_rule
+from asbuilt.experiment.signal.samples import parse_rule
 from asbuilt.identification.identify import identify_samples
 from asbuilt.tables import MISSING, Column, Table, round_significant
 from asbuilt.validation.prediction import validate_samples

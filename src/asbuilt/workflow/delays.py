@@ -19,12 +19,12 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.recording_delay import (
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.delay_errors import (
     JointDelay,
     RecordingDelay,
     state_delay,
 )
-from asbuilt.identification.result.result import IdentificationResult
 
 FRICTION = DriveSet.parse("viscous,coulomb,offset")
 """Drive terms without which friction passes for a delay."""
@@ -80,8 +80,8 @@ def settle_delays(
     filters
         What filters their motions, once for all who share it; None: of its own.
     """
-    if chain.delay == "auto" and model.n_floating:
-        chain = replace(chain, delay=None)  # the torque of a joint is in the rows of all
+    if chain.delay == "auto" and model.mixes_joints:
+        chain = replace(chain, delay=None)
     # Stated delays are exact: nothing is estimated, and nothing added to errors.
     if chain.delay != "auto" or not heads:
         stated = tuple(

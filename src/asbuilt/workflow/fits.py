@@ -351,12 +351,11 @@ def _add_effects(
     effects = Effects(model, drive)
     flat = tuple[Plateau, ...]()
     stated = {Tilt.key} if options.mounting == "estimate" or wanted.tilt else set()
-    fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
-    if stated and not fixed:
+    if stated and model.mixes_joints:
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
     # A command's torque is computed: what a log could lack is sought only if asked for.
     open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
-    if fixed and (open_to_all or stated):
+    if not model.mixes_joints and (open_to_all or stated):
         flat = (
             find_plateaus(model, drive, samples, options.block_seconds, kept) if open_to_all else ()
         )

@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.excitation import InformationEfficiency, MotionBounds, information_efficiency
 from asbuilt.excitation.information.information import complete_limits
 from asbuilt.experiment import Recording, RecordingStream, Samples, head_of
+from asbuilt.experiment.recording import join_recordings
 from asbuilt.findings import Cure, join_names
 from asbuilt.workflow.prepare import prepare
 
@@ -166,7 +167,8 @@ def recorded_information(
 ) -> RecordedInformation:
     """Compare the states of a recording with the best that the robot's limits allow.
 
-    The recording passes the default signal chain; the drive terms follow its torque source.
+    The recording passes the default signal chain; the drive terms follow its torque source. Of a
+    stream a dozen chunks at most, spread evenly, stand for all; its position range is of all.
 
     Raises
     ------
@@ -176,20 +178,52 @@ def recorded_information(
     source = head_of(recording).torque_source
     # A description's own terms, else those of the torque source.
     drive = choose_usual_drive(model, source) if model.usual_drive else DriveSet.default(source)
+    span = None
+    if isinstance(recording, RecordingStream):
+        recording, span = _spread_chunks(recording)
     (samples,) = prepare(model, [recording], checked=False).training
+    if span is None:
+        span = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     return RecordedInformation(
         model.joint_names,
         drive,
         information_efficiency(model, drive, samples),
-        *_measure_limit_use(model, samples),
+        *_measure_limit_use(model, span, samples),
         complete_limits(model)[1],
     )
 
 
-def _measure_limit_use(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
-    """Return position range and top speed of each joint, as shares of its limits, two (n,)."""
+MOST_CHUNKS = 12
+"""Chunks of a stream that stand for all: some 360,000 samples, of which 20,000 are compared."""
+
+
+def _spread_chunks(stream: RecordingStream) -> tuple[Recording, Array]:
+    """Return chunks spread evenly over a stream, as one recording with gaps, and its span (2, n).
+
+    The span are the lowest and highest positions of all chunks.
+    """
+    kept: list[Recording] = []
+    stride = 1
+    span = np.array([[np.inf], [-np.inf]])
+    for k, chunk in enumerate(stream):
+        low = np.nanmin(chunk.q, axis=0, initial=np.inf)
+        high = np.nanmax(chunk.q, axis=0, initial=-np.inf)
+        span = np.stack([np.minimum(span[0], low), np.maximum(span[1], high)])
+        if k % stride == 0:
+            kept.append(chunk)
+        if len(kept) > MOST_CHUNKS:
+            kept = kept[::2]
+            stride *= 2
+    return join_recordings(kept), span
+
+
+def _measure_limit_use(model: RobotModel, span: Array, samples: Samples) -> tuple[Array, Array]:
+    """Return position range and top speed of each joint, as shares of its limits, two (n,).
+
+    `span` are the lowest and highest positions, (2, n).
+    """
     bounds = MotionBounds.assumed(model)
     # A joint that turns for ever has a turn as its range.
     turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, np.inf)
     full = np.minimum(bounds.upper - bounds.lower, turn)
-    return np.ptp(samples.q, axis=0) / full, np.max(np.abs(samples.qd), axis=0) / bounds.velocity
+    return (span[1] - span[0]) / full, np.max(np.abs(samples.qd), axis=0) / bounds.velocity

@@ -20,16 +20,16 @@ from asbuilt.experiment import (
 )
 from asbuilt.experiment.command.servo_torque import drop_saturated
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
-from asbuilt.experiment.signal.hold_out import (
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.samples import (
     HALF,
     RECORDINGS,
     choose_usual_rule,
     hold_out,
 )
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.uncertainty.delay_errors import RecordingDelay
 from asbuilt.identification.uncertainty.pose_noise import with_equation_noise
 from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.generalisation.coverage import repeats

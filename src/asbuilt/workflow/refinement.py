@@ -24,11 +24,11 @@ from asbuilt.identification.trajectories.refined_fit import (
     thin_windows,
     widen_parameters,
 )
-from asbuilt.identification.trajectories.servo_coordinates import (
+from asbuilt.identification.trajectories.simulated_robot import (
     STIFFNESS_SPREAD,
     ServoCoordinates,
+    SimulatedRobot,
 )
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out

@@ -26,8 +26,7 @@ from asbuilt.experiment.command.servo_torque import drive_by_command, drop_slow_
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.result.recording_delay import RecordingDelay
-from asbuilt.identification.uncertainty.delay_errors import DelayErrors
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors, RecordingDelay
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name

@@ -270,7 +270,7 @@ def identify(
     Examples
     --------
     >>> from asbuilt import load_robot, simulate_recording, identify
-    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> from asbuilt.excitation.motions.fourier import random_fourier
     >>> model = load_robot("two-link")
     >>> motion = random_fourier(model, rng=1, duration=10.0)
     >>> log = simulate_recording(model, motion, rng=1)

@@ -18,7 +18,7 @@ from asbuilt.identification.bodies.known_masses import (
     total_mass_from_text,
     with_known_masses,
 )
-from asbuilt.identification.effects.wanted import EffectsWanted
+from asbuilt.identification.effects.effect import EffectsWanted
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.ranges import Range
@@ -73,7 +73,7 @@ def hold_out_rule(text: str) -> str | None:
 def _check_rule(rule: str | None) -> None:
     if rule not in (None, AUTOMATIC):
         # The parser imports the signal chain, which the command line loads only if needed.
-        from asbuilt.experiment.signal.hold_out import parse_rule  # noqa: PLC0415 (heavy)
+        from asbuilt.experiment.signal.samples import parse_rule  # noqa: PLC0415 (heavy)
 
         parse_rule(rule)
 

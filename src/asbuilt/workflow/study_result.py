@@ -21,13 +21,16 @@ from asbuilt.identification.effects.effect_findings import (
     report_effects,
 )
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
+from asbuilt.identification.information.equations import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
-from asbuilt.identification.uncertainty.bias import OmittedBias, report_position_noise
-from asbuilt.identification.uncertainty.driving_friction import doubt_driving_friction
+from asbuilt.identification.uncertainty.bias import (
+    OmittedBias,
+    doubt_driving_friction,
+    report_position_noise,
+)
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
@@ -36,10 +39,13 @@ from asbuilt.validation.generalisation.coverage import (
     check_left_out,
     check_repetitions,
 )
-from asbuilt.validation.generalisation.foot_moments import report_foot_moments
-from asbuilt.validation.generalisation.generalisation import check_validations
+from asbuilt.validation.generalisation.generalisation import (
+    check_validations,
+    report_foot_moments,
+    report_nameless,
+    report_unexplained,
+)
 from asbuilt.validation.generalisation.plateaus import report_plateaus
-from asbuilt.validation.generalisation.unexplained import report_nameless, report_unexplained
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
@@ -129,9 +135,8 @@ def conclude_study(
     )
     bounded = bound_effects(result, effects)
     result = result.with_effects(tuple(as_by_encoders(effect, result) for effect in bounded))
-    # With a free base every row has parts of all joints: no joint has causes of its own.
-    floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
-    attribution = None if cause_data is None or floats else attribute(result)
+    mixed = fits.model.mixes_joints
+    attribution = None if cause_data is None or mixed else attribute(result)
     if attribution and options.wanted_effects.named:
         result = result.with_effects((*result.effects, *attribution.bodies))
     validations = tuple(

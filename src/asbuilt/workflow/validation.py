@@ -20,7 +20,7 @@ from asbuilt.experiment.logs.recordings import (
     as_recordings,
     read_fitted_recordings,
 )
-from asbuilt.experiment.signal.hold_out import RECORDINGS
+from asbuilt.experiment.signal.samples import RECORDINGS
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification import IdentificationResult, TorqueMetrics
 from asbuilt.validation import (
@@ -223,7 +223,7 @@ def review(
     Examples
     --------
     >>> from asbuilt import load_robot, review, simulate_recording
-    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> from asbuilt.excitation.motions.fourier import random_fourier
     >>> model = load_robot("two-link")
     >>> log = simulate_recording(model, random_fourier(model, rng=1, duration=20.0), rng=1)
     >>> review(model, log).count("contradicted")

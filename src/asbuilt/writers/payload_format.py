@@ -1,4 +1,4 @@
-"""Payloads in the words of robot makers: what a format is given, the registry, and the files."""
+"""What robot makers take: payloads in their words, and programs that run a motion."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description import LinkInertia
+from asbuilt.description import LinkInertia, RobotModel
 from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
+from asbuilt.excitation import Motion
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification import Payload
 from asbuilt.registry import Registry
 from asbuilt.untrusted import parse_json, read_text
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.tables.payload_tables import payload_document
+from asbuilt.writing import atomic_write
 
 LARGEST = 1_000_000
 """Bytes of a stored payload; one of seven joints and ten logs has 10 kB."""
@@ -268,3 +269,30 @@ def write_payload(
         text = form.remark(seen, notes[form.key], place) + form.document(seen, place)
         files[form.key] = atomic_write(place, text)
     return files, {key: remarks for key, remarks in notes.items() if remarks}
+
+
+class ProgramWriter(ABC):
+    """Write controller programs; a subclass registers an instance in `PROGRAM_WRITERS`."""
+
+    @abstractmethod
+    def check(self, form: str, model: RobotModel, parametrisation: str | None = None) -> None:
+        """Raise an error if there is no such format, or it cannot move the robot so."""
+
+    @abstractmethod
+    def write(
+        self,
+        folder: Path,
+        model: RobotModel,
+        motion: Motion,
+        form: str,
+        *,
+        name: str,
+        collision: str | None,
+    ) -> dict[str, Path]:
+        """Write the program of a motion into a folder; return its files by role."""
+
+
+PROGRAM_WRITERS: Registry[ProgramWriter] = Registry(
+    "writer of controller programs", None, "asbuilt.program_writers"
+)
+"""Writers of programs by name."""

@@ -20,9 +20,10 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation import Motion, Trajectory, times_to_end
 from asbuilt.experiment import FreeMotion, Recording, SimulatedRecording
 from asbuilt.tables import round_significant, wrap_text
-from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.tables.tabular import write_json
+from asbuilt.writing import atomic_write
 
 WHAT = {
     "drop": "released at rest, drives without torque",

@@ -13,7 +13,7 @@ from asbuilt.description.formats.toml_tables import RobotFile
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.registry import suggest_name
-from asbuilt.writers.files import atomic_write
+from asbuilt.writing import atomic_write
 
 SCHEMAS: dict[str, type[BaseModel]] = {"robot": RobotFile, "sheet": RecordingSheet}
 """What has a schema: the robot file and the recording sheet."""

@@ -24,8 +24,8 @@ from asbuilt.errors import MissingExtraError
 from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
 from asbuilt.findings import Finding, Severity
 from asbuilt.validation import Validation, recording_name
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.skeleton import build_round_mesh
+from asbuilt.writing import atomic_write
 
 STATE = "sensor_msgs/msg/JointState"
 LOG = "rcl_interfaces/msg/Log"

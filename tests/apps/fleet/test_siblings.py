@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.apps.fleet import FleetIdentification, FleetOptions, add_logs, fleet_identify
-from asbuilt.apps.fleet.siblings import (
+from asbuilt.apps.fleet.identification import (
     SIBLINGS,
     SiblingPrior,
     estimate_prior,

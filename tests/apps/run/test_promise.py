@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import asbuilt
-from asbuilt.apps.run.promise import Promise, Unexplained, promise_error, widen_promise
-from asbuilt.apps.run.purpose import States
+from asbuilt.apps.run.promise import Promise, States, Unexplained, promise_error, widen_promise
 from asbuilt.excitation import Motion
 
 MODEL = asbuilt.load_robot("two-link")

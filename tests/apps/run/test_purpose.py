@@ -9,7 +9,7 @@ import pytest
 
 import asbuilt
 from asbuilt import DesignOptions, DriveSet, RecordingError
-from asbuilt.apps.run.log_check import check_log, measure_distance
+from asbuilt.apps.run.rounds import check_log, measure_distance
 
 MODEL = asbuilt.load_robot("two-link")
 

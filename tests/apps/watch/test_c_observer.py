@@ -20,8 +20,8 @@ from asbuilt.dynamics import coriolis_torque, gravity_torque
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.identification import IdentificationResult
 from asbuilt.writers import write_result
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.export import write_observer
-from asbuilt.writers.models.sample_states import draw_sample_states
 
 SAME = 1e-12
 

@@ -10,8 +10,12 @@ from watched_robot import RATE, WatchedRobot, recorded
 
 from asbuilt.apps.watch import Observed, Observer, WatchedLog, WatchOptions, watch
 from asbuilt.apps.watch.causal_filter import choose_pole
-from asbuilt.apps.watch.contact import excess_response, find_smallest_forces, frame_jacobian
-from asbuilt.apps.watch.events import join_events
+from asbuilt.apps.watch.events import (
+    excess_response,
+    find_smallest_forces,
+    frame_jacobian,
+    join_events,
+)
 from asbuilt.description import LinkInertia
 from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment import Recording, RecordingStream, VirtualRobot

@@ -5,7 +5,7 @@ import pytest
 from watched_robot import RATE, WatchedRobot
 
 from asbuilt.apps.watch import Observer, estimate_contact
-from asbuilt.apps.watch.contact import frame_jacobian
+from asbuilt.apps.watch.events import frame_jacobian
 from asbuilt.description import bundled_robot
 from asbuilt.dynamics import DriveSet, TorqueModel, gravity_torque
 from asbuilt.errors import RecordingError, UsageError

@@ -14,7 +14,7 @@ import pytest
 
 from asbuilt.description import bundled_robot
 from asbuilt.dynamics import DriveTerm, NonlinearParameter, drive_term
-from asbuilt.dynamics.drives.formula import Formula
+from asbuilt.dynamics.drives.term import Formula
 from asbuilt.errors import UsageError
 
 SATURATED = '''

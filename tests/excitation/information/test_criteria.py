@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import UsageError
-from asbuilt.excitation.information.criteria import (
+from asbuilt.excitation.information.information import (
     AOptimality,
     ConditionNumber,
     DOptimality,

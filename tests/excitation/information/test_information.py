@@ -7,8 +7,7 @@ from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation import Information
-from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import mean_information
+from asbuilt.excitation.information.information import DOptimality, mean_information
 
 
 def prepared(robot: str, drive: str, noise=1.0):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import astuple, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +16,9 @@ from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, RecordingStream, check_recording, read_recording
 from asbuilt.experiment.logs import long_recordings
-from asbuilt.experiment.quality.passes import run_first_pass
+from asbuilt.experiment.quality import reductions
+from asbuilt.experiment.quality.passes import Plateau, run_first_pass
+from asbuilt.experiment.quality.reductions import Clock
 from asbuilt.workflow import recorded_information
 from command_line import document
 from fourier_recording import record
@@ -159,12 +161,18 @@ def test_statistics_do_not_depend_on_where_chunks_end(iiwa: RobotModel, clean: R
             clean.n_samples,
         ]
         other = run_first_pass(iiwa, [spoilt.taken(slice(a, b)) for a, b in pairwise(edges)])
-        for name in ("t", "not_repeated", "valid", "valid_torque"):
-            np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
+        for name in ("t", "rows", "valid", "forward", "step", "duration"):
+            np.testing.assert_array_equal(getattr(other.clock, name), getattr(one.clock, name))
+        for name in ("backward", "repeated"):
+            np.testing.assert_array_equal(
+                astuple(getattr(other.clock, name)), astuple(getattr(one.clock, name))
+            )
+        np.testing.assert_array_equal(other.clock.gaps, one.clock.gaps)
+        assert astuple(other.repeats) == astuple(one.repeats)
         for name, parts in (
             ("position_range", ("count", "low", "high")),
             ("torque_range", ("count", "low", "high")),
-            ("saturated", ("count", "value", "row")),
+            ("saturated", ("count", "value", "time")),
         ):
             for part in parts:
                 np.testing.assert_array_equal(
@@ -179,12 +187,50 @@ def test_statistics_do_not_depend_on_where_chunks_end(iiwa: RobotModel, clean: R
         ]
 
 
-@pytest.mark.study
-def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_path: Path) -> None:
-    """Only times and flags grow with the length.
+def test_gaps_are_told_where_few_times_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    steps = 1e-3 * rng.uniform(0.9, 1.1, 50_000)
+    lost = np.array([137, 20_000, 49_000])
+    steps[lost] = [0.1, 0.3, 0.2]
+    steps[[30_000, 30_001]] = 0.0
+    steps[40_000] = -0.5
+    t = np.cumsum(steps)
+    monkeypatch.setattr(reductions, "KEPT_SAMPLES", 3000)
+    clock = Clock()
+    for begin in range(0, t.size, 500):
+        clock = clock.with_more(t[begin : begin + 500], np.full(500, True))
+    before, gaps = clock.gaps
+    assert clock.t.size <= 3500
+    np.testing.assert_array_equal(clock.t, t[clock.rows])
+    assert clock.rows[0] == 0
+    assert clock.rows[-1] == t.size - 1
+    np.testing.assert_array_equal(before, t[lost - 1])
+    np.testing.assert_allclose(gaps, [0.1, 0.3, 0.2], rtol=1e-9)
+    assert (clock.repeated.count, clock.repeated.row) == (2, 29_999)
+    assert (clock.backward.count, clock.backward.row) == (1, 39_999)
+    assert clock.duration == t.max() - t.min()
+    np.testing.assert_allclose(clock.step, np.median(steps), rtol=0.01)
 
-    Six more minutes of seven joints take no more than those.
-    """
+
+def test_values_near_an_extreme_are_counted_where_few_are_kept() -> None:
+    rng = np.random.default_rng(3)
+    distinct = rng.uniform(0.95, 1.0, 40_000)
+    values = rng.choice(distinct, 400_000)
+    plateau = Plateau(1.0, 0.05)
+    for begin in range(0, values.size, 4000):
+        part = values[begin : begin + 4000]
+        plateau = plateau.with_more(part, np.arange(4000.0), begin)
+    assert plateau.near.size <= 1000
+    assert plateau.n_near == values.size
+    np.testing.assert_allclose(plateau.n_values, np.unique(values).size, rtol=0.15)
+
+
+@pytest.mark.study
+def test_long_recordings_are_not_held(
+    iiwa: RobotModel, clean: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only flags grow with the length: of 22 columns six more minutes take less than a byte."""
+    monkeypatch.setattr(reductions, "KEPT_SAMPLES", 10_000)
 
     def peak(minutes: int) -> float:
         parts = [replace(clean, t=clean.t + 20.0 * k) for k in range(3 * minutes)]
@@ -207,7 +253,7 @@ def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_pa
 
     peak(4)
     growth = (peak(10) * 10 - peak(4) * 4) / 6
-    assert growth < 0.2 * 22 * 8
+    assert growth < 1.0
 
 
 @pytest.mark.study

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from asbuilt.experiment.signal.spectrum import power_density
+from asbuilt.experiment.signal.band_choice import power_density
 
 
 @pytest.mark.parametrize("window", ["hann", "blackmanharris"])

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.signal.lowpass import butterworth
-from asbuilt.experiment.signal.standstill import (
+from asbuilt.experiment.signal.differentiation import (
     estimate_standstill_speeds,
     find_moving_ranges,
     find_rests,
 )
+from asbuilt.experiment.signal.lowpass import butterworth
 
 
 def test_a_reversal_is_no_standstill_but_a_pause_is():

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.delay_errors import estimate_delay_errors
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters
@@ -25,6 +24,7 @@ from asbuilt.identification.calibration.delay import (
     predicts_better,
 )
 from asbuilt.identification.identify import fit_samples
+from asbuilt.identification.uncertainty.delay_errors import estimate_delay_errors
 from asbuilt.workflow.delays import settle_delays
 
 MODEL = load_robot("two-link")

@@ -10,17 +10,17 @@ from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import read_recording
-from asbuilt.identification.calibration.gain_uncertainty import (
+from asbuilt.identification.calibration.payload import (
+    choose_payload_frame,
+    identify_payload_samples,
+)
+from asbuilt.identification.calibration.payload_rows import (
     UNCALIBRATED,
     USUAL_UNCERTAINTY,
     derive_gain_doubt,
     derive_gain_errors,
     gravity_scales,
     name_doubtful_gains,
-)
-from asbuilt.identification.calibration.payload import (
-    choose_payload_frame,
-    identify_payload_samples,
 )
 from asbuilt.workflow import prepare
 

@@ -16,9 +16,8 @@ from asbuilt.dynamics import DriveSet, available_terms, find_base_parameters
 from asbuilt.errors import UsageError
 from asbuilt.experiment import SignalChain, prepare_samples, read_recordings, resolve_chain
 from asbuilt.identification import EFFECTS, find_effects, identify_samples
-from asbuilt.identification.effects.effect import Described
+from asbuilt.identification.effects.effect import Described, EffectsWanted
 from asbuilt.identification.effects.effect_findings import describe_stated
-from asbuilt.identification.effects.wanted import EffectsWanted
 from asbuilt.identification.identify import fit_samples
 from asbuilt.validation import validate_samples
 from asbuilt.workflow import StudyOptions, identify

@@ -9,7 +9,7 @@ from asbuilt.description import bundled_robot
 from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.identification import IdentificationResult, IdentifiedParameter, torque_metrics
-from asbuilt.identification.servo.servo_errors import ServoErrors
+from asbuilt.identification.servo.servo_rows import ServoErrors
 
 FRICTION = (0.2, 0.5, 0.1, 0.3)
 RELATIVE = 0.002

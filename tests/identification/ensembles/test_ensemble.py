@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.block_scatter import BlockScatter, mean_degrees
 from scipy.stats import t as student
 from tests.identification.ensembles.example_results import servo_result, two_link_result
 
@@ -19,6 +18,7 @@ from asbuilt.identification import (
     widening,
 )
 from asbuilt.identification.ensembles.ensemble import AT_ONCE, FAITHFUL, make_draws_consistent
+from asbuilt.identification.uncertainty.block_scatter import BlockScatter, mean_degrees
 
 NORMAL_95 = 1.644854
 

@@ -12,8 +12,8 @@ from asbuilt.identification import accumulate_stream, divide_into_folds
 from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
     choose_candidate,
+    group_different_motions,
 )
-from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.random_states import (
     build_random_motion_rows,
     measure_recorded_rates,

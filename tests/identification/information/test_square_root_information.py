@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, RegressorPlan, find_base_parameters, observation_matrix
@@ -35,6 +34,7 @@ from asbuilt.identification.information import rows as rows_module
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.rows import KeptRows, divide_into_blocks
 from asbuilt.identification.information.square_root_information import MOST_BLOCKS, accumulate
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

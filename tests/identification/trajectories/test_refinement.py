@@ -16,7 +16,7 @@ from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.trajectories.objective import Quadratic, Weights
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.refinement import score_inflation
-from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
+from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 pytest.importorskip("mujoco")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.identification.trajectories.start_elimination import eliminate_starts
+from asbuilt.identification.trajectories.objective import eliminate_starts
 
 
 def test_parameters_and_starts_are_those_of_one_least_squares_problem() -> None:

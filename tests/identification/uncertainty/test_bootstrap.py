@@ -26,7 +26,7 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.uncertainty.uncertainty import estimate_bootstrap_uncertainty, redraw
 
 MODEL, DRIVE = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
 BASE = find_base_parameters(MODEL, DRIVE)

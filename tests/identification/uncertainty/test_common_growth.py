@@ -17,7 +17,7 @@ from asbuilt.identification import (
     estimate_block_uncertainty,
     fit_least_squares,
 )
-from asbuilt.identification.information.held_out import group_different_motions
+from asbuilt.identification.estimators.held_out_choice import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.uncertainty.block_scatter import BlockScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_scatter

@@ -12,7 +12,7 @@ from asbuilt.dynamics import DriveSet, inverse_dynamics
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import VirtualRobot, prepare_samples
 from asbuilt.identification.identify import fit_samples
-from asbuilt.identification.uncertainty.driving_friction import doubt_driving_friction
+from asbuilt.identification.uncertainty.bias import doubt_driving_friction
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset,load_friction")
 MODEL = bundled_robot("ur10e")

@@ -22,11 +22,13 @@ from asbuilt.identification import (
     identify_samples,
     settle_drive,
 )
-from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
+from asbuilt.identification.drives.nonlinear_parameters import (
+    estimate_nonlinear_errors,
+    fit_nonlinear,
+)
 from asbuilt.identification.identify import set_link_parameters
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.uncertainty.block_scatter import ErrorKind
-from asbuilt.identification.uncertainty.nonlinear_errors import estimate_nonlinear_errors
 from asbuilt.tables import round_with_error
 from asbuilt.workflow import StudyOptions, identify
 

@@ -14,7 +14,7 @@ from asbuilt.experiment import Recording, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
 from asbuilt.identification import identify_samples
 from asbuilt.validation import validate_samples
-from asbuilt.validation.generalisation.unexplained import (
+from asbuilt.validation.generalisation.generalisation import (
     report_nameless,
     report_unexplained,
     returning_share,

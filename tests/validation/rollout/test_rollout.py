@@ -16,8 +16,12 @@ from asbuilt.executor import open_workers
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cut_windows
 from asbuilt.validation import rollout_findings
-from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
-from asbuilt.validation.rollout.position_errors import find_outlying_windows, measure_rollout_errors
+from asbuilt.validation.rollout.position_errors import (
+    delay_command,
+    find_outlying_windows,
+    measure_rollout_errors,
+    pair_repeated_windows,
+)
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 

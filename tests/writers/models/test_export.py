@@ -16,7 +16,7 @@ from asbuilt.experiment import VirtualRobot, read_recordings
 from asbuilt.identification import IdentificationResult, IdentifiedParameter, torque_metrics
 from asbuilt.workflow import StudyOptions, identify
 from asbuilt.writers import export_result, write_recording
-from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.urdf import format_urdf
 from command_line import call
 from studied_cases import first_of

@@ -11,8 +11,8 @@ from reload_oracle import as_if_identified, drive_torques, mujoco_torques, two_a
 from asbuilt.description import DriveValues, LinkInertia, RobotModel, bundled_robot, load_robot
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import InertiaError
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.mjcf import export_mjcf, write_mjcf
-from asbuilt.writers.models.sample_states import draw_sample_states
 
 BUNDLED = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara", "two-link")
 STRANGERS = ("lbrstack_med7.urdf", "kuka_lwr4.urdf", "ur10.urdf", "xarm7.urdf", "mjcf_iiwa14.xml")

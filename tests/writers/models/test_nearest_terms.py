@@ -19,7 +19,7 @@ from asbuilt import StudyOptions, VirtualRobot
 from asbuilt.description import DriveValues, bundled_robot
 from asbuilt.identification import IdentificationResult
 from asbuilt.writers import export_result
-from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.as_built import draw_sample_states
 
 LOADED = "armature,viscous,coulomb,offset,load_friction"
 

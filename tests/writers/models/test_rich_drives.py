@@ -29,9 +29,9 @@ from asbuilt.experiment import VirtualRobot
 from asbuilt.identification import IdentificationResult
 from asbuilt.validation.prediction import derive_cad_values
 from asbuilt.writers import export_result
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.mjcf import export_mjcf
 from asbuilt.writers.models.robot_toml import format_robot_toml
-from asbuilt.writers.models.sample_states import draw_sample_states
 from studied_cases import first_of
 
 PER_JOINT = "/".join(f"{0.02 + 0.01 * k:.2f}" for k in range(7))

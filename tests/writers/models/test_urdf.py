@@ -14,7 +14,7 @@ from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import InertiaError
 from asbuilt.writers import write_urdf
-from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.urdf import format_urdf
 
 BUNDLED = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara", "two-link")

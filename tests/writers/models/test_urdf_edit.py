@@ -10,7 +10,7 @@ from asbuilt.description import DriveValues, LinkInertia, RobotModel
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import DescriptionError, InertiaError
-from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.urdf_edit import edit_urdf, measure_torque_difference
 from shared_urdfs import SHARED_URDFS
 

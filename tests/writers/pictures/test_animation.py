@@ -12,8 +12,7 @@ from asbuilt.description import bundled_robot
 from asbuilt.errors import UsageError
 from asbuilt.excitation import QuinticMotion, random_fourier
 from asbuilt.writers import write_picture
-from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
+from asbuilt.writers.pictures.skeleton import MotionView, draw_skeleton_frames
 
 
 @pytest.mark.study

@@ -24,7 +24,7 @@ from virtual_causes import identified
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "line", "circle", "path"}
 SECTION = """
-from asbuilt.writers.reports.section import Section, sections
+from asbuilt.writers.reports.report import Section, sections
 
 def context(report):
     return {"robot": report.study.result.robot, "text": "<b>escaped</b>"}

@@ -12,8 +12,8 @@ from .reduction.add import Addition as Addition
 from .reduction.add import add_logs as add_logs
 from .reduction.log_task import LogReport as LogReport
 from .reduction.rebuild import rebuild_ledger as rebuild_ledger
+from .report import addition_document as addition_document
+from .report import addition_text as addition_text
+from .report import drift_text as drift_text
+from .report import overview_text as overview_text
 from .report import write_fleet_report as write_fleet_report
-from .tables import addition_document as addition_document
-from .tables import addition_text as addition_text
-from .tables import drift_text as drift_text
-from .tables import overview_text as overview_text

@@ -23,7 +23,7 @@ from asbuilt import (
     write_recording,
 )
 from asbuilt.apps.fleet.reduction.add import Addition, add_logs, make_identity_finder
-from asbuilt.apps.fleet.tables import addition_document, describe_drift_outcome
+from asbuilt.apps.fleet.report import addition_document, describe_drift_outcome
 from asbuilt.description import bundled_robot
 from asbuilt.tables import Column, Table, wrap_text
 from asbuilt.validation import Drift, compare_results

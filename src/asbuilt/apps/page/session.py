@@ -18,6 +18,7 @@ from asbuilt.apps.page.choices import (
     FORMATS,
     LINES,
     Choices,
+    Fingerprints,
     is_same_robot,
     list_field_options,
     list_options,
@@ -26,7 +27,6 @@ from asbuilt.apps.page.choices import (
     split_words,
 )
 from asbuilt.apps.page.columns import write_sheet
-from asbuilt.apps.page.fingerprints import Fingerprints
 from asbuilt.apps.page.worker import Worker
 from asbuilt.dynamics import available_terms
 from asbuilt.identification import TILT

@@ -5,5 +5,5 @@ from .drivers import open_driver as open_driver
 from .loop import Loop as Loop
 from .loop import Outcome as Outcome
 from .options import RunOptions as RunOptions
-from .prediction import predict_round as predict_round
 from .rounds import Round as Round
+from .rounds import predict_round as predict_round

@@ -1,8 +1,9 @@
-from .contact import Contact as Contact
-from .contact import estimate_contact as estimate_contact
+from .events import Contact as Contact
 from .events import Event as Event
+from .events import estimate_contact as estimate_contact
 from .extremes import block_maxima as block_maxima
 from .extremes import tail_level as tail_level
+from .files import timeline_of_watched as timeline_of_watched
 from .files import write_watched as write_watched
 from .observed import ModelError as ModelError
 from .observed import Observed as Observed
@@ -13,7 +14,6 @@ from .stream import read_lines as read_lines
 from .stream import watch_stream as watch_stream
 from .thresholds import Thresholds as Thresholds
 from .thresholds import set_thresholds as set_thresholds
-from .timeline import timeline_of_watched as timeline_of_watched
 from .watched_log import WatchedLog as WatchedLog
 from .watched_log import read_thresholds as read_thresholds
 from .watching import make_stream_observer as make_stream_observer

@@ -1,4 +1,4 @@
-"""Files and the page of a watched log."""
+"""Files, timeline and page of a watched log."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from asbuilt.apps.watch.watched_log import (
     format_torque_unit,
 )
 from asbuilt.codec import format_json
+from asbuilt.description import RobotModel
+from asbuilt.experiment import Recording, RecordingStream, head_of
+from asbuilt.findings import Severity
+from asbuilt.validation import recording_name
 from asbuilt.writers import (
     BLUE,
     GREY,
@@ -21,6 +25,9 @@ from asbuilt.writers import (
     VERMILION,
     Block,
     Card,
+    Mark,
+    Timeline,
+    Track,
     break_name,
     cards_markup,
     encode_figure,
@@ -127,4 +134,40 @@ def watch_html(watched: WatchedLog) -> str:
             Block("torque", "External torque, joint by joint", (drawn,), "External torque"),
             Block("events", "Events", table),
         ],
+    )
+
+
+SEVERITY_OF_EVENT: dict[str, Severity] = {
+    "contact": "warning",
+    "fault": "error",
+    "payload": "info",
+}
+
+
+def timeline_of_watched(
+    model: RobotModel, watched: WatchedLog, recording: Recording | RecordingStream
+) -> Timeline:
+    """Return the timeline of a watched log: measured and external torque, thresholds, events."""
+    head = head_of(recording)
+    trace = watched.trace
+    valid = np.all(np.isfinite(head.q), axis=1)
+    return Timeline(
+        recording_name(watched.source),
+        model,
+        head.t[valid],
+        head.q[valid],
+        (
+            Track("measured", head.t, head.tau),
+            Track("external", trace.t, trace.residual),
+            Track("threshold", trace.t, trace.limit),
+        ),
+        tuple(
+            Mark(
+                event.start,
+                SEVERITY_OF_EVENT[event.kind],
+                f"{event.kind} at {', '.join(event.joints)} from {event.start:.3f} to"
+                f" {event.end:.3f} s",
+            )
+            for event in watched.events
+        ),
     )

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asbuilt.apps.watch import Observed, Observer
-from asbuilt.apps.watch.contact import find_smallest_forces
-from asbuilt.apps.watch.events import Event, estimate_payload_change
+from asbuilt.apps.watch.events import Event, estimate_payload_change, find_smallest_forces
 from asbuilt.apps.watch.options import Watched
 from asbuilt.apps.watch.thresholds import Thresholds, sampling_rates
 from asbuilt.arrays import Array

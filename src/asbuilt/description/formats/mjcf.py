@@ -20,10 +20,10 @@ from asbuilt.description.formats.compiled_mjcf import (
     collect_warnings,
     couple_by_equalities,
     find_loops_by_equalities,
+    insert_includes,
     with_passive_joints,
 )
 from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
-from asbuilt.description.formats.included_mjcf import insert_includes
 from asbuilt.description.formats.xml import (
     described_text,
     find_outermost_tag,

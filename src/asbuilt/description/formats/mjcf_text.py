@@ -49,7 +49,7 @@ def format_mjcf(model: RobotModel, *, actuators: bool = True, shapes: bool = Tru
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.description.load import bundled_robot
     >>> from asbuilt.description.formats.mjcf import read_mjcf
     >>> read_mjcf(format_mjcf(bundled_robot("ur10e"))).n_joints
     6

@@ -39,7 +39,7 @@ from asbuilt.description.rotation import (
     snap_entries,
     straighten_angle,
 )
-from asbuilt.description.structure.motors import couple_joints
+from asbuilt.description.structure.couplings import couple_joints
 from asbuilt.description.structure.springs import Spring, with_springs
 from asbuilt.errors import AsbuiltError, DescriptionError
 from asbuilt.untrusted import describe_problem, parse_toml, read_bytes, read_text

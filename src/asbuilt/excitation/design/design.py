@@ -29,8 +29,13 @@ from asbuilt.excitation.design.designed_motion import (
 )
 from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
 from asbuilt.excitation.design.search import DesignSearch, Task
-from asbuilt.excitation.information.criteria import AOptimality, Criterion, select_criterion
-from asbuilt.excitation.information.information import Information, parameter_scale
+from asbuilt.excitation.information.information import (
+    AOptimality,
+    Criterion,
+    Information,
+    parameter_scale,
+    select_criterion,
+)
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds, refuse_open_postures
 from asbuilt.excitation.motions.motion import Motion

@@ -18,8 +18,12 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import UsageError
-from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information, draw_states, mean_information
+from asbuilt.excitation.information.information import (
+    DOptimality,
+    Information,
+    draw_states,
+    mean_information,
+)
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_constraint import TorqueLimit
 from asbuilt.scaled import Scaled

@@ -18,8 +18,8 @@ from asbuilt.description.joint_matching import match_joints
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError, RecordingError
 from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation.motions.piecewise import SplineMotion
 from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.spline import SplineMotion
 from asbuilt.findings import Cure
 from asbuilt.ranges import Range
 from asbuilt.untrusted import TABLE_LIMIT, describe_problem, name_file_in_errors, read_bytes

@@ -16,8 +16,11 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_basis, contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
-from asbuilt.experiment.free_base.feet import estimate_rolling_radii
-from asbuilt.experiment.free_base.measured_forces import check_forces, collect_measured_wrenches
+from asbuilt.experiment.free_base.feet import (
+    check_forces,
+    collect_measured_wrenches,
+    estimate_rolling_radii,
+)
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
 

@@ -17,8 +17,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, RecordingError
-from asbuilt.experiment.free_base.feet import find_closed
-from asbuilt.experiment.free_base.measured_forces import select_force_columns, with_measured_forces
+from asbuilt.experiment.free_base.feet import (
+    find_closed,
+    select_force_columns,
+    with_measured_forces,
+)
 from asbuilt.experiment.free_base.sensor_checks import normalise_quaternions
 from asbuilt.experiment.logs.columns.layout import find_column
 from asbuilt.experiment.logs.formats.log_format import LogTable

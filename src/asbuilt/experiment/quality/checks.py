@@ -209,7 +209,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     """Check clock, missing values, units, signs, order of joints, limits, filters and excitation.
 
     Where the clock is wrong, only the clock and missing values are checked. A stream is read
-    twice; besides its times only a dozen segments of it are held in memory.
+    twice; a dozen segments of it and the times of a million samples at most are held in memory.
 
     Parameters
     ----------
@@ -230,8 +230,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
-    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> from asbuilt.description.load import bundled_robot
+    >>> from asbuilt.excitation.motions.fourier import random_fourier
     >>> from asbuilt.experiment.virtual.simulation import simulate_recording
     >>> model = bundled_robot("two-link")
     >>> recording = simulate_recording(model, random_fourier(model, rng=1), rate=100.0)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from asbuilt.experiment.quality.passes import FirstPass, Missing
-from asbuilt.experiment.quality.reductions import GAP_STEPS
+from asbuilt.experiment.quality.reductions import GAP_STEPS, MOST_REPEATS
 from asbuilt.findings import Cure, Finding, join_names
 
 _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -21,51 +21,47 @@ then long, and nearly all samples used."""
 def check_clock(recording: FirstPass) -> Iterator[Finding]:
     """Find missing values, wrong units of time, time stamps that repeat, decrease or jump."""
     yield from _find_not_finite(recording)
-    t = recording.t
-    steps = np.diff(t)
-    backward = np.flatnonzero(steps < 0)
-    if backward.size:
-        k = int(backward[0])
+    clock = recording.clock
+    backward = clock.backward
+    if backward.count:
         yield Finding(
             "clock_backward",
             "error",
-            f"time decreases {backward.size} times, first from {t[k]:.6g} s to {t[k + 1]:.6g} s at"
-            f" sample {k + 2}",
+            f"time decreases {backward.count} times, first from {backward.before:.6g} s to"
+            f" {backward.after:.6g} s at sample {backward.row + 2}",
             Cure("split the file there and give the parts as separate recordings"),
-            time=float(t[k]),
+            time=backward.before,
         )
-    repeated = np.flatnonzero(steps == 0)
-    if repeated.size:
-        k = int(repeated[0])
+    repeated = clock.repeated
+    if repeated.count:
         yield Finding(
             "clock_repeated",
             # One duplicate in a hundred is dropped when the log is resampled.
-            "error" if repeated.size > 0.01 * t.size else "warning",
-            f"{repeated.size} of {t.size} samples have the time stamp of the sample before, first"
-            f" {t[k]:.6g} s at sample {k + 2}",
+            "error" if repeated.count > 0.01 * clock.n_samples else "warning",
+            f"{repeated.count} of {clock.n_samples} samples have the time stamp of the sample"
+            f" before, first {repeated.before:.6g} s at sample {repeated.row + 2}",
             Cure("remove the duplicates, or log time with more digits"),
-            time=float(t[k]),
+            time=repeated.before,
         )
-    forward = steps[np.isfinite(steps) & (steps > 0)]
-    if not forward.size:
+    if not clock.forward.size:
         return
-    step = float(np.median(forward))
+    step = clock.step
     yield from _find_wrong_unit(step)
     # A gap splits the log, so that no filter runs across it.
-    gaps = np.flatnonzero(steps > GAP_STEPS * step)
+    before, gaps = clock.gaps
     if gaps.size:
-        longest = int(gaps[np.argmax(steps[gaps])])
+        longest = int(np.argmax(gaps))
         # A few lost samples are nobody's worry: the recording is split there.
-        few = gaps.size <= FEW_GAPS and steps[gaps].sum() < FEW_LOST * recording.duration
+        few = gaps.size <= FEW_GAPS and gaps.sum() < FEW_LOST * recording.duration
         yield Finding(
             "clock_gap",
             "info" if few else "warning",
             f"the clock has {gaps.size} gap{'s' * (gaps.size > 1)}, the longest"
-            f" {steps[longest]:.4g} s after {t[longest]:.6g} s; the usual step is {step:.4g} s",
+            f" {gaps[longest]:.4g} s after {before[longest]:.6g} s; the usual step is {step:.4g} s",
             Cure("find out why samples are lost if there are many; the recording is split there"),
-            time=float(t[gaps[0]]),
+            time=float(before[0]),
         )
-    usual = forward[forward <= GAP_STEPS * step]
+    usual = clock.forward[clock.forward <= GAP_STEPS * step]
     # Standard deviation of the steps, in steps, from which a clock is uneven.
     # Percentiles, as single late samples say nothing of the clock.
     if float(np.std(usual / step)) > 0.05:
@@ -82,13 +78,13 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
 
 def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
     """Find values that are missing, infinite or absurd, once for columns with the same rows."""
-    bad_times = np.flatnonzero(~np.isfinite(recording.t))
-    if bad_times.size:
+    clock = recording.clock
+    if clock.n_unknown:
         yield Finding(
             "not_finite",
             "error",
-            f"{bad_times.size} of {recording.n_samples} time stamps are not numbers, first at"
-            f" sample {bad_times[0] + 1}",
+            f"{clock.n_unknown} of {recording.n_samples} time stamps are not numbers, first at"
+            f" sample {clock.unknown_row + 1}",
             Cure("repair or remove these rows"),
         )
     together: dict[bytes, list[Missing]] = {}
@@ -114,10 +110,10 @@ def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
             "not_finite",
             "error",
             f"{rows.size} of {recording.n_samples} values of {' and '.join(listed)} are not usable"
-            f" numbers, the first {kind} at sample {rows[0] + 1}, t = {recording.t[rows[0]]:.6g} s",
+            f" numbers, the first {kind} at sample {rows[0] + 1}, t = {columns[0].time:.6g} s",
             Cure("repair or remove these rows, or exclude them by [[windows]] in a sheet"),
             joint=names[columns[0].joint],
-            time=float(recording.t[rows[0]]),
+            time=columns[0].time,
         )
 
 
@@ -158,24 +154,18 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
 
 
 def _find_stale(recording: FirstPass) -> Iterator[Finding]:
-    changed = np.flatnonzero(recording.not_repeated)
-    if changed.size < 3:
-        return
-    # Length of each run of equal samples.
-    lengths = np.diff(np.append(changed, recording.n_samples))
-    # A sample repeated more often is a robot at rest, for which the log is not to blame.
-    brief = lengths[lengths <= 20]
-    if not brief.size or brief.sum() < 20:
+    repeats = recording.repeats
+    if repeats.n_changed < 3 or repeats.brief < MOST_REPEATS:
         return
     # A value changes once in so many samples.
-    times = brief.sum() / brief.size
-    repeats = 1.0 - brief.size / brief.sum()
+    times = repeats.brief / repeats.n_brief
+    share = 1.0 - repeats.n_brief / repeats.brief
     rate = recording.rate / times
-    if repeats > 0.2:
+    if share > 0.2:
         yield Finding(
             "stale_samples",
             "warning",
-            f"{100 * repeats:.0f} % of the samples repeat the one before in every joint: values"
+            f"{100 * share:.0f} % of the samples repeat the one before in every joint: values"
             f" change about every {times:.3g} samples ({rate:.3g} Hz), the log has"
             f" {recording.rate:.4g} Hz",
             Cure(

@@ -249,7 +249,7 @@ def _check_limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     for k in np.flatnonzero(outside.count).tolist():
         joint = model.joints[k]
         value = outside.value[k]
-        time = float(recording.t[outside.row[k]])
+        time = float(outside.time[k])
         unit = "rad" if joint.is_revolute else "m"
         yield Finding(
             "position_limit",

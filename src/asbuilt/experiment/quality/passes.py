@@ -11,9 +11,11 @@ from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.reductions import (
+    Clock,
     Exceedance,
     Extremes,
     PositionMoments,
+    Repeats,
     SmoothedMotion,
     choose_segments,
     smooth_motion,
@@ -22,12 +24,12 @@ from asbuilt.experiment.recording import (
     Recording,
     find_changed_rows,
     join_recordings,
-    median_rate,
-    time_span,
 )
-from asbuilt.experiment.signal.spikes import Spikes, find_spikes
+from asbuilt.experiment.signal.prepared_motion import find_spikes
 from asbuilt.findings import Cure
 
+Bits = np.ndarray[tuple[int], np.dtype[np.uint8]]
+"""Flags of samples, eight in a byte."""
 CREDIBLE = {
     "position": 1e6,
     "command": 1e6,
@@ -41,12 +43,22 @@ CREDIBLE = {
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """Hold the rows in which one column has no usable number, and the value in the first."""
+    """Hold the rows in which one column has no usable number, and value and time of the first."""
 
     quantity: str
     joint: int
     rows: Indices
     first: float
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class TimedSpikes:
+    """Hold when the torque of a joint (from 0) stands out [s], and by how much."""
+
+    joint: int
+    times: Array
+    sizes: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +69,12 @@ class FirstPass:
     ----------
     first
         The first chunk as logged, its joints in the order of the model.
-    t
-        Times [s], shape (N,).
+    clock
+        What is asked of the times of all samples, and the times of some.
+    repeats
+        How many samples differ in position or torque from the sample before.
     not_repeated
-        Whether position or torque differ from the sample before, shape (N,).
-    valid_torque
-        Whether time and torques are finite, shape (N,).
-    valid
-        Whether positions and, if logged, velocities are finite too, shape (N,).
+        Which samples do, a bit each, of every chunk.
     missing
         Columns with values that are not finite or that no robot could log.
     position_range, torque_range
@@ -78,23 +88,21 @@ class FirstPass:
     """
 
     first: Recording
-    n_chunks: int
-    t: Array
-    not_repeated: Mask
-    valid_torque: Mask
-    valid: Mask
+    clock: Clock
+    repeats: Repeats
+    not_repeated: tuple[Bits, ...]
     missing: tuple[Missing, ...]
     position_range: Extremes
     moments: PositionMoments
     outside_limits: Exceedance
     torque_range: Extremes
     saturated: Exceedance
-    spikes: tuple[Spikes, ...] = ()
+    spikes: tuple[TimedSpikes, ...] = ()
 
     @property
     def n_samples(self) -> int:
         """Number of samples."""
-        return int(self.t.size)
+        return self.clock.n_samples
 
     @property
     def n_joints(self) -> int:
@@ -104,12 +112,12 @@ class FirstPass:
     @property
     def rate(self) -> float:
         """Inverse of the median positive time step [Hz]; NaN if there is none."""
-        return median_rate(self.t)
+        return 1.0 / self.clock.step
 
     @property
     def duration(self) -> float:
         """Time from the earliest to the latest sample [s]."""
-        return time_span(self.t)
+        return self.clock.duration
 
 
 def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
@@ -128,10 +136,11 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     moments = PositionMoments()
     outside = Exceedance()
     saturated = Exceedance()
-    # Flags of all samples are kept, a bit each; values are not.
-    times = []
-    flags = []
-    spikes = list[Spikes]()
+    clock = Clock()
+    repeats = Repeats()
+    # A bit for every sample: the second pass need not compare again.
+    bits = []
+    spikes = list[TimedSpikes]()
     missing: dict[tuple[int, int], Missing] = {}
     first = last = None
     begin = 0
@@ -146,41 +155,41 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         last = chunk
         chunk = blank_incredible(chunk)
         q = chunk.q
-        tau = chunk.tau
-        valid_torque = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(tau))
-        valid = valid_torque & ~find_true_rows(~np.isfinite(q))
-        if chunk.qd is not None:
-            valid &= ~find_true_rows(~np.isfinite(chunk.qd))
-        times.append(np.array(chunk.t))
-        flags.append(np.stack([not_repeated, valid_torque, valid]))
-        rows = np.arange(begin, begin + chunk.n_samples)
+        t = chunk.t
+        if not_repeated.all():
+            changed = chunk.tau
+            changed_t = t
+        else:
+            # Repeated samples would count a plateau twice.
+            changed = chunk.tau[not_repeated]
+            changed_t = t[not_repeated]
+        clock = clock.with_more(t, _mark_valid(chunk))
+        repeats = repeats.with_more(not_repeated, begin)
+        bits.append(np.packbits(not_repeated))
         # Torques of a command jump with it: no spikes.
         if chunk.torque_source != "command":
             spikes += [
-                replace(spike, rows=begin + spike.rows) for spike in find_spikes(tau, not_repeated)
+                TimedSpikes(spike.joint, t[spike.rows], spike.sizes)
+                for spike in find_spikes(chunk.tau, not_repeated)
             ]
         # Positive beyond the one limit or the other.
         excess = np.maximum(lower - q, q - upper)
-        size = np.abs(tau[not_repeated])
+        size = np.abs(changed)
         positions = positions.with_more(q)
         moments = moments.with_more(q)
-        # Repeated samples would count a plateau twice.
-        torques = torques.with_more(tau[not_repeated])
+        torques = torques.with_more(changed)
         # Distance beyond its limits [rad or m] at which a joint counts as outside them.
-        outside = outside.with_more(excess, excess > 0.01, q, rows)
-        saturated = saturated.with_more(size, size >= full, tau[not_repeated], rows[not_repeated])
+        outside = outside.with_more(excess, excess > 0.01, q, t)
+        saturated = saturated.with_more(size, size >= full, changed, changed_t)
         begin += chunk.n_samples
     if first is None or last is None:
         raise RecordingError("the recording holds no samples")
-    not_repeated, valid_torque, valid = np.concatenate(flags, axis=1)
     return FirstPass(
         # Notes count over all chunks up to their own: those of the last one are of the whole log.
         first=replace(first, notes=last.notes),
-        n_chunks=len(times),
-        t=np.concatenate(times),
-        not_repeated=not_repeated,
-        valid_torque=valid_torque,
-        valid=valid,
+        clock=clock,
+        repeats=repeats.ended(begin),
+        not_repeated=tuple(bits),
         missing=tuple(missing[key] for key in sorted(missing)),
         position_range=positions,
         moments=moments,
@@ -189,6 +198,19 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         saturated=saturated,
         spikes=tuple(spikes),
     )
+
+
+def _mark_valid(chunk: Recording) -> Mask:
+    """Return in which samples (N,) time, torques, positions and logged velocities are finite."""
+    valid = np.isfinite(chunk.t)
+    for values in (chunk.tau, chunk.q, chunk.qd):
+        if values is None:
+            continue
+        finite = np.isfinite(values)
+        # The usual log lacks nothing, and needs no look at its rows.
+        if not finite.all():
+            valid &= ~find_true_rows(~finite)
+    return valid
 
 
 def order_as_modelled(model: RobotModel, recording: Recording) -> Recording:
@@ -227,10 +249,7 @@ def blank_incredible(recording: Recording) -> Recording:
         return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
 
     # The usual log has nothing to blank, and is not copied.
-    if not any(
-        np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what]
-        for what, values in _list_quantities(recording)
-    ):
+    if all(_is_credible(what, values) for what, values in _list_quantities(recording)):
         return recording
     return replace(
         recording,
@@ -238,6 +257,14 @@ def blank_incredible(recording: Recording) -> Recording:
         tau=cleaned("torque", recording.tau),
         qd=None if recording.qd is None else cleaned("velocity", recording.qd),
         qdd=None if recording.qdd is None else cleaned("acceleration", recording.qdd),
+    )
+
+
+def _is_credible(what: str, values: Array) -> bool:
+    """Return whether all values are such as a robot logs; NaN is none."""
+    # NaN makes an extreme NaN, which compares as false.
+    return not values.size or bool(
+        values.max() <= CREDIBLE[what] and values.min() >= -CREDIBLE[what]
     )
 
 
@@ -270,24 +297,25 @@ def position_limits(model: RobotModel) -> tuple[Array, Array]:
 
 def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
-    if before is None:
-        return find_changed_rows(chunk.q, chunk.tau)
-    q, tau = (
-        np.concatenate([x[-1:], y]) for x, y in ((before.q, chunk.q), (before.tau, chunk.tau))
-    )
-    # The first row was the last of the chunk before.
-    return find_changed_rows(q, tau)[1:]
+    changed = find_changed_rows(chunk.q, chunk.tau)
+    if before is not None:
+        changed[:1] = np.any(before.q[-1] != chunk.q[:1]) or np.any(before.tau[-1] != chunk.tau[:1])
+    return changed
 
 
 def _add_missing(missing: dict[tuple[int, int], Missing], chunk: Recording, begin: int) -> None:
     """Add the rows of a chunk, which begins at row `begin`, by quantity and joint."""
     for what, values in _list_quantities(chunk):
+        if _is_credible(what, values):
+            continue
+        # NaN fails the comparison, and counts as missing too.
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
             rows = np.flatnonzero(bad[:, k])
             key = (list(CREDIBLE).index(what), k)
-            # NaN fails the comparison, and counts as missing too.
-            known = missing.get(key) or Missing(what, k, rows[:0], float(values[rows[0], k]))
+            known = missing.get(key) or Missing(
+                what, k, rows[:0], float(values[rows[0], k]), float(chunk.t[rows[0]])
+            )
             missing[key] = replace(known, rows=np.append(known.rows, begin + rows))
 
 
@@ -299,25 +327,59 @@ _NEAR = 0.05
 class Plateau:
     """Hold how often a torque is at one of its extremes, and how often near it.
 
-    `places` are indices among the torques that are not repeated; `near` are the different values
-    near the extreme.
+    `places` are indices among the torques that are not repeated, `times` theirs [s]. `near` are
+    different values near the extreme; of very many a share, 1 / 2^halvings, chosen by their bits.
     """
 
     extreme: float
     width: float
     places: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    times: Array = field(default_factory=lambda: np.zeros(0))
     n_near: int = 0
     near: Array = field(default_factory=lambda: np.zeros(0))
+    halvings: int = 0
 
-    def with_more(self, values: Array, begin: int) -> Plateau:
-        """Include further torques (N,), the first of which has the index `begin`."""
-        near = values[np.abs(values - self.extreme) < self.width]
+    @property
+    def n_values(self) -> int:
+        """Number of different values near the extreme, about where they are very many."""
+        return int(self.near.size) << self.halvings
+
+    def with_more(self, values: Array, t: Array, begin: int) -> Plateau:
+        """Include further torques (N,) and their times, the first of which has index `begin`."""
+        close = values[np.abs(values - self.extreme) < self.width]
+        if not close.size:
+            return self
+        at = np.flatnonzero(values == self.extreme)
+        near = np.union1d(self.near, close[_pick_share(close, self.halvings)])
+        halvings = self.halvings
+        # What one chunk holds is counted exactly.
+        while self.n_near and near.size > _MOST_VALUES:
+            halvings += 1
+            near = near[_pick_share(near, halvings)]
         return replace(
             self,
-            places=np.append(self.places, begin + np.flatnonzero(values == self.extreme)),
-            n_near=self.n_near + near.size,
-            near=np.union1d(self.near, near) if near.size else self.near,
+            places=np.append(self.places, begin + at),
+            times=np.append(self.times, t[at]),
+            n_near=self.n_near + close.size,
+            near=near,
+            halvings=halvings,
         )
+
+
+_MOST_VALUES = 1000
+"""Different values near an extreme that are kept: their number is then right to some 5 per cent."""
+
+
+def _pick_share(values: Array, halvings: int) -> Mask:
+    """Return which values (N,) belong to a share, 1 / 2^halvings, that holds equal ones together.
+
+    Multiplied by an odd number (of the golden ratio, Knuth 1973), high bits depend on all bits.
+    """
+    if not halvings:
+        return np.ones(values.shape, dtype=bool)
+    bits = np.ascontiguousarray(values).view(np.uint64)
+    mixed = (bits ^ (bits >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    return np.asarray(mixed >> np.uint64(64 - halvings) == 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,19 +400,21 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
 
     The torques for spectra are all torques of one chunk, else the torques of the segments.
     """
-    rows, step, window = choose_segments(known.t, known.valid)
+    rows, step, window = choose_segments(known.clock)
     plateaus = [_find_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]
     torques: list[Array] = []
     begin = place = 0
-    for logged in chunks:
+    for logged, bits in zip(chunks, known.not_repeated, strict=True):
         chunk = blank_incredible(
             order_as_modelled(model, logged).with_torque_of(known.first.has_torque)
         )
         stop = begin + chunk.n_samples
-        changed = chunk.tau[known.not_repeated[begin:stop]]
+        changed = np.unpackbits(bits, count=chunk.n_samples).view(bool)
+        tau = np.ascontiguousarray(chunk.tau.T if changed.all() else chunk.tau[changed].T)
+        t = chunk.t if changed.all() else chunk.t[changed]
         plateaus = [
-            tuple(plateau.with_more(changed[:, k], place) for plateau in both)
+            tuple(plateau.with_more(tau[k], t, place) for plateau in both)
             for k, both in enumerate(plateaus)
         ]
         for wanted, part in zip(rows, parts, strict=True):
@@ -358,11 +422,12 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
                 part.append(chunk.taken(here - begin))
-        if known.n_chunks == 1:
-            torques.append(chunk.tau[known.valid_torque])
+        if known.clock.n_chunks == 1:
+            usable = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(chunk.tau))
+            torques.append(chunk.tau[usable])
         # Plateaus count torques that are not repeated, and not samples.
         begin = stop
-        place = place + len(changed)
+        place = place + t.size
     segments = list(map(join_recordings, parts))
     motion = smooth_motion(segments, step, window) if segments else None
     return SecondPass(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from math import factorial
 
 import numpy as np
@@ -30,6 +30,17 @@ class Extremes:
 
     def with_more(self, values: Array) -> Extremes:
         """Include further values (N, n); those that are not finite do not count."""
+        if not values.size:
+            return self
+        low = values.min(axis=0)
+        high = values.max(axis=0)
+        if np.isfinite(low).all() and np.isfinite(high).all():
+            # The usual case, without a mask of all values.
+            return Extremes(
+                self.count + np.full(low.shape, len(values)),
+                np.minimum(self.low, low),
+                np.maximum(self.high, high),
+            )
         # NaN would win every minimum, so that it is masked.
         finite = np.isfinite(values)
         return Extremes(
@@ -41,22 +52,22 @@ class Extremes:
 
 @dataclass(frozen=True, eq=False)
 class Exceedance:
-    """Hold for each column how many samples exceed a bound, and amount, value and row of the worst.
+    """Hold for each column how many samples exceed a bound, and the worst of them.
 
-    All are (n,).
+    Of that its amount, value and time [s]; all are (n,).
     """
 
     count: Indices = field(default_factory=ZERO)
     amount: Array = field(default_factory=LOWEST)
     value: Array = field(default_factory=UNKNOWN)
-    row: Indices = field(default_factory=ZERO)
+    time: Array = field(default_factory=UNKNOWN)
 
-    def with_more(self, amount: Array, exceeds: Mask, value: Array, rows: Indices) -> Exceedance:
-        """Include amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
-        if not len(rows):
-            return self
-        # A joint whose amounts are all NaN never exceeds.
-        amount = np.where(np.isnan(amount), -np.inf, amount)
+    def with_more(self, amount: Array, exceeds: Mask, value: Array, t: Array) -> Exceedance:
+        """Include amounts (may be NaN), which exceed, values, all (N, n), and times (N,)."""
+        if not exceeds.any():
+            # Counts have the shape of the columns from the first samples on.
+            return replace(self, count=self.count + np.zeros(exceeds.shape[1], dtype=np.int64))
+        amount = np.where(exceeds, amount, -np.inf)
         place = np.argmax(amount, axis=0)
         columns = np.arange(amount.shape[1])
         worst = amount[place, columns]
@@ -66,7 +77,7 @@ class Exceedance:
             self.count + exceeds.sum(axis=0),
             np.where(worse, worst, self.amount),
             np.where(worse, value[place, columns], self.value),
-            np.where(worse, rows[place], self.row),
+            np.where(worse, t[place], self.time),
         )
 
 
@@ -84,7 +95,8 @@ class PositionMoments:
 
     def with_more(self, q: Array) -> PositionMoments:
         """Include further positions (N, n); rows with a value that is not finite do not count."""
-        complete = q[np.all(np.isfinite(q), axis=1)]
+        finite = np.isfinite(q)
+        complete = q if finite.all() else q[np.all(finite, axis=1)]
         # About the first sample: joints that hardly move keep their digits.
         about = self.about if self.n_samples or not len(complete) else complete[0]
         apart = complete - about
@@ -112,6 +124,200 @@ class PositionMoments:
 
 GAP_STEPS = 5.0
 """Multiple of the median time step from which a step is a gap."""
+CANDIDATE_STEPS = 2.5
+"""Multiple of the median step so far from which a step may turn out to be a gap."""
+KEPT_SAMPLES = 1_000_000
+"""Samples whose times are kept: beyond them those of every second chunk are, every fourth, ..."""
+MOST_REPEATS = 20
+"""A sample repeated more often is a robot at rest, for which the log is not to blame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Count steps of a clock of one kind, and hold row and times [s] of the first of them."""
+
+    count: int = 0
+    row: int = -1
+    before: float = np.nan
+    after: float = np.nan
+
+    def with_more(self, which: Mask, t: Array, begin: int) -> Steps:
+        """Include the steps between times (N,), of which the first is of row `begin`."""
+        if not which.any():
+            return self
+        if self.count:
+            return replace(self, count=self.count + int(which.sum()))
+        k = int(np.argmax(which))
+        return Steps(int(which.sum()), begin + k, float(t[k]), float(t[k + 1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Hold times (N,) [s] and validity of consecutive samples, the first of which is of a row."""
+
+    begin: int
+    t: Array
+    valid: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Hold what is asked of the times of all samples, and the times of some.
+
+    Parameters
+    ----------
+    n_samples, n_chunks
+        Numbers so far.
+    n_unknown, unknown_row
+        Number of times that are not finite, and the row of the first of them.
+    first, last, earliest, latest
+        Times [s] of the first and the last sample, and the extremes of the finite ones.
+    backward, repeated
+        Steps below and of zero.
+    usual
+        The smallest median step of a chunk [s].
+    long
+        Times before steps that may be gaps, and these steps [s], shape (N, 2).
+    stride, kept, newest
+        Chunks of which times are kept: every so manieth, and the newest.
+    """
+
+    n_samples: int = 0
+    n_chunks: int = 0
+    n_unknown: int = 0
+    unknown_row: int = -1
+    first: float = np.nan
+    last: float = np.nan
+    earliest: float = np.inf
+    latest: float = -np.inf
+    backward: Steps = field(default_factory=Steps)
+    repeated: Steps = field(default_factory=Steps)
+    usual: float = np.inf
+    long: tuple[Array, ...] = ()
+    stride: int = 1
+    kept: tuple[Chunk, ...] = ()
+    newest: Chunk | None = None
+
+    def with_more(self, t: Array, valid: Mask) -> Clock:
+        """Include the times (N,) of further samples [s] and whether they are valid (N,)."""
+        if not t.size:
+            return self
+        joined = np.concatenate([[self.last], t]) if self.n_samples else t
+        begin = self.n_samples - 1 if self.n_samples else 0
+        steps = np.diff(joined)
+        forward = steps[np.isfinite(steps) & (steps > 0.0)]
+        usual = min(self.usual, float(np.median(forward)) if forward.size else np.inf)
+        long = steps > CANDIDATE_STEPS * usual
+        finite = np.isfinite(t)
+        n_unknown = int(t.size - finite.sum())
+        unknown_row = self.unknown_row
+        if n_unknown and not self.n_unknown:
+            unknown_row = self.n_samples + int(np.argmin(finite))
+        return replace(
+            self._with_chunk(Chunk(self.n_samples, np.array(t), valid)),
+            n_samples=self.n_samples + t.size,
+            n_chunks=self.n_chunks + 1,
+            n_unknown=self.n_unknown + n_unknown,
+            unknown_row=unknown_row,
+            first=self.first if self.n_samples else float(t[0]),
+            last=float(t[-1]),
+            earliest=min(self.earliest, float(t.min(where=finite, initial=np.inf))),
+            latest=max(self.latest, float(t.max(where=finite, initial=-np.inf))),
+            backward=self.backward.with_more(steps < 0.0, joined, begin),
+            repeated=self.repeated.with_more(steps == 0.0, joined, begin),
+            usual=usual,
+            long=(*self.long, np.stack([joined[:-1][long], steps[long]], axis=1))
+            if long.any()
+            else self.long,
+        )
+
+    def _with_chunk(self, chunk: Chunk) -> Clock:
+        """Return the same with the times of one more chunk, and those of fewer before."""
+        kept = self.kept
+        if self.newest is not None and (self.n_chunks - 1) % self.stride == 0:
+            kept = (*kept, self.newest)
+        stride = self.stride
+        if sum(each.t.size for each in kept) > KEPT_SAMPLES:
+            kept = kept[::2]
+            stride *= 2
+        return replace(self, kept=kept, stride=stride, newest=chunk)
+
+    @cached_property
+    def t(self) -> Array:
+        """Times that are kept [s], shape (K,)."""
+        return np.concatenate([chunk.t for chunk in self._chunks])
+
+    @cached_property
+    def rows(self) -> Indices:
+        """Their rows, shape (K,)."""
+        return np.concatenate(
+            [np.arange(chunk.begin, chunk.begin + chunk.t.size) for chunk in self._chunks]
+        )
+
+    @cached_property
+    def valid(self) -> Mask:
+        """Whether the samples at these times are valid, shape (K,)."""
+        return np.concatenate([chunk.valid for chunk in self._chunks])
+
+    @cached_property
+    def forward(self) -> Array:
+        """Positive steps between samples of consecutive rows that are kept [s]."""
+        steps = np.diff(self.t)[np.diff(self.rows) == 1]
+        return np.asarray(steps[np.isfinite(steps) & (steps > 0.0)])
+
+    @cached_property
+    def step(self) -> float:
+        """Median positive step [s]; NaN if there is none."""
+        return float(np.median(self.forward)) if self.forward.size else np.nan
+
+    @property
+    def gaps(self) -> tuple[Array, Array]:
+        """Times before the gaps and their lengths [s], each (n_gaps,)."""
+        if not self.long:
+            return np.zeros(0), np.zeros(0)
+        t, lengths = np.concatenate(self.long).T
+        gaps = lengths > GAP_STEPS * self.step
+        return t[gaps], lengths[gaps]
+
+    @property
+    def duration(self) -> float:
+        """Time from the earliest to the latest sample [s]; NaN if there is none."""
+        return self.latest - self.earliest if self.latest >= self.earliest else np.nan
+
+    @property
+    def _chunks(self) -> tuple[Chunk, ...]:
+        return self.kept if self.newest is None else (*self.kept, self.newest)
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """Count samples that differ from the one before, and how often a value stays for a while.
+
+    `n_brief` values stay for at most `MOST_REPEATS` samples, `brief` samples together.
+    """
+
+    n_changed: int = 0
+    n_brief: int = 0
+    brief: int = 0
+    last: int = -1
+
+    def with_more(self, changed: Mask, begin: int) -> Repeats:
+        """Include samples of which some differ from the one before (N,), from row `begin` on."""
+        rows = begin + np.flatnonzero(changed)
+        if not rows.size:
+            return self
+        more = self._with_lengths(np.diff(rows if self.last < 0 else np.append(self.last, rows)))
+        return replace(more, n_changed=self.n_changed + rows.size, last=int(rows[-1]))
+
+    def ended(self, n_samples: int) -> Repeats:
+        """Return the same after the last of so many samples."""
+        return self if self.last < 0 else self._with_lengths(np.array([n_samples - self.last]))
+
+    def _with_lengths(self, lengths: Indices) -> Repeats:
+        brief = lengths[lengths <= MOST_REPEATS]
+        return replace(self, n_brief=self.n_brief + brief.size, brief=self.brief + int(brief.sum()))
+
+
 _SEGMENT_SAMPLES = 4000
 _MOST_SEGMENTS = 12
 """Samples per segment and number of segments; more do not change a finding."""
@@ -141,15 +347,15 @@ class SmoothedMotion:
         return np.arange(0, self.n_samples, max(1, self.n_samples // most), dtype=np.int64)
 
 
-def choose_segments(t: Array, valid: Mask) -> tuple[list[Indices], float, int]:
+def choose_segments(clock: Clock) -> tuple[list[Indices], float, int]:
     """Return rows of a dozen segments at most between gaps, the clock's step, and the window.
 
-    There is no segment where none is long enough for the window, by which it is smoothed.
+    There is no segment where none is long enough for the window, by which it is smoothed. Between
+    chunks whose times are not kept there is a gap.
     """
-    rows = np.flatnonzero(valid)
     # Times that repeat or go back: each time once, in order.
-    t, first = np.unique(t[rows], return_index=True)
-    rows = rows[first]
+    t, first = np.unique(clock.t[clock.valid], return_index=True)
+    rows = clock.rows[clock.valid][first]
     if t.size < 20:
         return [], np.nan, 0
     steps = np.diff(t)

@@ -17,7 +17,7 @@ from asbuilt.experiment.command.magnitude import (
 from asbuilt.experiment.quality.passes import FirstPass, SecondPass
 from asbuilt.experiment.quality.reductions import Extremes
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.spectrum import power_density
+from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.findings import Cure, Finding, join_names
 
 
@@ -55,14 +55,13 @@ def check_saturation(
 
     An extreme of zero is none: magnitudes rest there.
     """
-    # Places on plateaus count samples that are not repeated.
-    changed = np.flatnonzero(recording.not_repeated)
+    n_changed = recording.repeats.n_changed
     for k, joint in enumerate(model.joints):
         for plateau in closer.plateaus[k]:
             flat = plateau.places.size
             longest, start = _find_longest_block(plateau.places)
             # How often another value near the extreme occurs: a coarse torque repeats every value.
-            usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
+            usual = (plateau.n_near - flat) / max(1, plateau.n_values - 1)
             # 5: consecutive samples at an extreme from which a torque may be saturated.
             # Eight times as often as its neighbours: no accident of the steps.
             if plateau.extreme != 0.0 and longest >= 5 and flat > 8 * max(usual, 1.0):
@@ -70,28 +69,28 @@ def check_saturation(
                     "saturation",
                     "warning",
                     f"the torque of {joint.name} is saturated at {plateau.extreme:.5g} N m in"
-                    f" {flat} of {changed.size} samples, up to {longest} in a row",
+                    f" {flat} of {n_changed} samples, up to {longest} in a row",
                     Cure(
                         "exclude these segments by [[windows]] in a recording sheet, or record a"
                         " gentler motion"
                     ),
                     joint=joint.name,
-                    time=float(recording.t[changed[start]]),
+                    time=float(plateau.times[start]),
                 )
         limit = joint.limits.torque
         over = int(recording.saturated.count[k])
         # Currents have no limit in the description's unit.
         stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
         # From half of the samples on the limit itself is doubted elsewhere.
-        if closer.plateaus[k] and stated and 3 <= over < 0.5 * changed.size:
+        if closer.plateaus[k] and stated and 3 <= over < 0.5 * n_changed:
             yield Finding(
                 "torque_limit",
                 "warning",
                 f"the torque of {joint.name} reaches {recording.saturated.value[k]:.4g} N m in"
-                f" {over} of {changed.size} samples; its limit is {limit:.4g} N m",
+                f" {over} of {n_changed} samples; its limit is {limit:.4g} N m",
                 Cure("record a gentler motion if the drive saturates, or check the torque unit"),
                 joint=joint.name,
-                time=float(recording.t[recording.saturated.row[k]]),
+                time=float(recording.saturated.time[k]),
             )
 
 
@@ -99,7 +98,7 @@ def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Name joints with single torques that stand out from their neighbours: number, size, place."""
     for joint in sorted({spike.joint for spike in recording.spikes}):
         spikes_here = [spike for spike in recording.spikes if spike.joint == joint]
-        rows = np.concatenate([spike.rows for spike in spikes_here])
+        times = np.concatenate([spike.times for spike in spikes_here])
         sizes = np.concatenate([spike.sizes for spike in spikes_here])
         worst = int(np.argmax(sizes))
         name = model.joint_names[joint]
@@ -107,12 +106,12 @@ def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
         yield Finding(
             "torque_spikes",
             "warning",
-            f"{rows.size} of {recording.n_samples} torques of {name} stand out from the"
+            f"{times.size} of {recording.n_samples} torques of {name} stand out from the"
             f" samples next to them, by up to {sizes[worst]:.4g} {unit} at"
-            f" t = {recording.t[rows[worst]]:.6g} s; fits use the mean of these neighbours instead",
+            f" t = {times[worst]:.6g} s; fits use the mean of these neighbours instead",
             Cure("find out where single values come from: a hard stop, the bus or the sensor"),
             joint=name,
-            time=float(recording.t[rows[0]]),
+            time=float(times[0]),
         )
 
 
@@ -149,14 +148,14 @@ def check_noise_floor(torques: Sequence[Array], rate: float) -> Iterator[Finding
 
 
 def _find_longest_block(places: Indices) -> tuple[int, int]:
-    """Return the length of the longest block of consecutive indices, and its first."""
+    """Return the length of the longest block of consecutive indices, and where it begins."""
     if not places.size:
         return 0, 0
     # The first index starts a block: the one prepended is two before.
     starts = np.flatnonzero(np.diff(places, prepend=places[0] - 2) != 1)
     lengths = np.diff(starts, append=places.size)
     longest = int(np.argmax(lengths))
-    return int(lengths[longest]), int(places[starts[longest]])
+    return int(lengths[longest]), int(starts[longest])
 
 
 def _detrend(tau: Array) -> Array:

@@ -143,7 +143,7 @@ def _find_lag(
 ) -> Iterator[Finding]:
     lags = np.array([_find_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
     # Repeated samples lengthen the true period.
-    step = 1.0 / (recording.rate * float(np.mean(recording.not_repeated)))
+    step = 1.0 / (recording.rate * (recording.repeats.n_changed / recording.n_samples))
     middle = float(np.median(lags))
     # Lag from which it is reported, in sampling periods; none is found if one of them is not known.
     # NaN compares as false: one joint without a lag leaves all open.
@@ -212,5 +212,5 @@ def _check_ends(
                 f" elsewhere by {inner[k]:.2g} rad/s, as at the end of a filtered signal",
                 Cure(f"cut the {name} half second in a recording sheet: [[windows]] {window}"),
                 joint=recording.first.joint_names[k],
-                time=float(recording.t[0] if name == "first" else recording.t[-1] - end),
+                time=recording.clock.first if name == "first" else recording.clock.last - end,
             )

@@ -9,8 +9,12 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.experiment.signal.differentiation import (
+    PAUSE,
     central_differences,
+    find_moving_ranges,
+    find_rests,
     savitzky_golay,
     savitzky_golay_window,
     smoothing_spline,
@@ -31,8 +35,6 @@ from asbuilt.experiment.signal.parallel_filter import (
 )
 from asbuilt.experiment.signal.resampling import UniformSegment
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.signal.spectrum import power_density
-from asbuilt.experiment.signal.standstill import PAUSE, find_moving_ranges, find_rests
 from asbuilt.findings import Cure
 
 SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]

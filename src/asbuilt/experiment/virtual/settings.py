@@ -59,7 +59,7 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.description.load import bundled_robot
     >>> robot = VirtualRobot.preset("ideal", bundled_robot("two-link"))
     >>> with_settings(robot, ["coulomb=1,0.5", "feedforward=none"]).train.coulomb
     (1.0, 0.5)

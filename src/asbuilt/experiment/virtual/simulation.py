@@ -69,7 +69,7 @@ def simulate_recording(
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.description.load import bundled_robot
     >>> from asbuilt.excitation.motions.quintic import QuinticMotion
     >>> motion = QuinticMotion.between([0.0] * 7, [0.5] * 7, duration=2.0)
     >>> simulate_recording(bundled_robot("kuka-iiwa7-r800"), motion, rate=100).tau.shape
@@ -184,7 +184,7 @@ def run_free(
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.description.load import bundled_robot
     >>> run_free(bundled_robot("two-link"), "free", duration=0.5).imbalance < 1e-6
     True
     """

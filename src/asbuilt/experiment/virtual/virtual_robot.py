@@ -28,6 +28,8 @@ from asbuilt.experiment.virtual.drive_train import (
     JointServo,
     PositionController,
     TermDrives,
+    TrackedMotion,
+    track,
 )
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.presets import (
@@ -43,7 +45,6 @@ from asbuilt.experiment.virtual.sensors import (
     SensorNoise,
     spread_per_joint,
 )
-from asbuilt.experiment.virtual.tracking import TrackedMotion, track
 from asbuilt.findings import Cure
 
 MeasuredTorque = Literal["sensor", "motor", "current"]
@@ -119,8 +120,8 @@ class VirtualRobot:
 
     Examples
     --------
-    >>> from asbuilt.description.catalogue import bundled_robot
-    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> from asbuilt.description.load import bundled_robot
+    >>> from asbuilt.excitation.motions.fourier import random_fourier
     >>> model = bundled_robot("ur10e")
     >>> motion = random_fourier(model, rng=2, duration=2.0)
     >>> robot = VirtualRobot.preset("lab", model, rng=1)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
+from asbuilt.description.appearance import find_size_units
 from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.description.model import RobotModel
-from asbuilt.description.size import find_size_units
 from asbuilt.dynamics import BaseParameters, DriveSet, parameter_names, parameter_values
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor

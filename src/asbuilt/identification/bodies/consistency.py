@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from asbuilt.arrays import Array
-from asbuilt.description.size import find_prefix
+from asbuilt.description.appearance import find_prefix
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError

@@ -17,13 +17,12 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.cad_prior import build_cad_prior, design_values
 from asbuilt.identification.estimators.consistent_fit import fit_toward_cad
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.fixed_point import FixedPoint
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import (
+from asbuilt.identification.estimators.held_out_choice import (
     group_different_motions,
     measure_held_out_errors,
 )
+from asbuilt.identification.estimators.least_squares import FixedPoint, fit_least_squares
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,

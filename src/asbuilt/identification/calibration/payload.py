@@ -26,15 +26,13 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
 from asbuilt.identification.bodies.conic_fit import solve_cone_program
-from asbuilt.identification.calibration.gain_uncertainty import (
-    derive_gain_errors,
-    gain_covariance,
-    name_doubtful_gains,
-    split_by_joint,
-)
 from asbuilt.identification.calibration.payload_rows import (
     PayloadRows,
+    derive_gain_errors,
+    gain_covariance,
     jackknife_covariance,
+    name_doubtful_gains,
+    split_by_joint,
 )
 from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 from asbuilt.identification.result.as_built_parameters import scale_covariance

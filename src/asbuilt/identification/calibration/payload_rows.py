@@ -1,4 +1,4 @@
-"""Recordings under load reduced to rows of arm, payload and torque, and fits to such rows."""
+"""What a payload rests on: rows of recordings under load, and the uncertainty of torque gains."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import UsageError
+from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.information.random_states import draw_positions
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
@@ -16,6 +21,7 @@ from asbuilt.identification.information.square_root_information import (
 from asbuilt.identification.information.triangular import widen_factor
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import set_link_parameters
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,3 +102,182 @@ def jackknife_covariance(found: Array) -> Array:
     """Return the covariance (m, m) of values, found (n, m) without one time block at a time."""
     apart = found - found.mean(axis=0)
     return np.asarray((len(found) - 1) / len(found) * apart.T @ apart)
+
+
+def gravity_scales(result: IdentificationResult) -> Array:
+    """Return each joint's gravity torque as a multiple of CAD's, (n,), NaN if it has none.
+
+    The least-squares factor from CAD's torque to the torque of the result, in random static poses
+    within the limits. Offsets that share base parameters with masses count to neither.
+    """
+    n = result.model.n_joints
+    scales = np.full(n, np.nan)
+    links = np.asarray(result.base.columns) < 10 * result.model.n_links
+    design = np.array([parameter.cad for parameter in result.parameters], dtype=np.float64)
+    if not result.model.has_every_mass or not np.all(np.isfinite(design[links])):
+        return scales
+    q = draw_positions(result.model, np.random.default_rng(0))
+    still = np.zeros_like(q)
+    rows = observation_matrix(
+        result.model, q, still, still, drive=result.base.drive, columns=result.base.columns
+    )[:, links]
+    cad, built = (
+        (rows @ values[links]).reshape(len(q), n) for values in (design, result.estimates)
+    )
+    size, own = (np.sqrt(np.mean(each**2, axis=0)) for each in (cad, built))
+    product = np.mean(cad * built, axis=0)
+    # Gravity torque, relative to the largest, below which a joint does not show its scale.
+    # 0.8: correlation with CAD's gravity torque below which something other than the scale differs.
+    clear = (size > 0.05 * size.max(initial=0.0)) & (product > 0.8 * size * own)
+    scales[clear] = product[clear] / size[clear] ** 2
+    return scales
+
+
+def derive_gain_doubt(scales: Array) -> Array:
+    """Return the part of a gain's error (n,) that CAD does not explain; 0 where scales are unknown.
+
+    If a logged gravity torque is s times CAD's since the gain is off, the true torque is 1 / s of
+    the one logged: `|1 / s - 1|`, beyond the tolerance of CAD.
+    """
+    away = np.abs(1.0 / np.nan_to_num(scales, nan=1.0) - 1.0)
+    # Error of CAD's gravity torques that is usual: its masses are accurate to a fifth at best.
+    return np.maximum(away - 0.2, 0.0)
+
+
+USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
+    "sensor": 0.0,
+    "unknown": 0.0,
+    "motor": 0.05,
+    "current": 0.07,
+}
+"""Default standard deviation of a joint's gain, as a fraction.
+
+Currents: data sheets usually state the torque constant to +-10 % (limits: 5.8 % as a standard
+deviation), and neodymium magnets lose about 0.1 % of their field per kelvin, 4 % over 40 K of
+warming; together 7 %. Torques that a controller computes from currents have been calibrated once,
+and warm up too: 5 %, if gravity torques show that the calibration holds (`derive_gain_errors`).
+Joint torque sensors are calibrated at the joint. These are assumptions: the published gains of a
+UR10e are 3 to 11 % high.
+"""
+UNCALIBRATED = 0.1
+"""Standard deviation of the gain of a motor's torque of which nothing shows that it is calibrated.
+"""
+COMMON = 1.0 / 3.0
+"""Part of the variance common to all joints, which warm up together (4 of 7 %, squared)."""
+MOST = 0.5
+"""Largest valid fraction that is stated."""
+
+
+def relative_gain_errors(
+    source: TorqueSource, n_joints: int, stated: ArrayLike | None = None
+) -> Array:
+    """Return the standard deviation of each joint's gain as fractions, shape (n,).
+
+    `stated` has one for all joints or one each; the default depends on the torque source. Raises
+    `UsageError` for another number of values, or values outside 0 to 0.5.
+    """
+    if stated is None:
+        return np.full(n_joints, USUAL_UNCERTAINTY[source])
+    values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
+    if values.ndim != 1 or values.size not in (1, n_joints):
+        raise UsageError(
+            f"gain uncertainty has {values.size} values; expected 1 or {n_joints}, one per joint"
+        )
+    if not np.all((values >= 0.0) & (values <= MOST)):
+        raise UsageError(
+            f"gain uncertainty is {values.tolist()}; expected fractions from 0 to {MOST:g}, such as"
+            " 5% or 0.05"
+        )
+    return np.broadcast_to(values, (n_joints,)).copy()
+
+
+def derive_gain_errors(
+    result: IdentificationResult, source: TorqueSource, stated: ArrayLike | None = None
+) -> Array:
+    """Return the standard deviation of each joint's gain as fractions, (n,), by all that is known.
+
+    Without `stated` values, the usual ones of the torque source count, wider by what the gravity
+    torques of the result differ from CAD's beyond its tolerance. Torques of motors count as
+    calibrated, to 5 %, if the gravity torques agree with CAD's; otherwise 10 %, as all torques
+    but a sensor's do where the description has no masses. Torques of unknown source are as good as
+    a sensor's until gravity contradicts them.
+    """
+    usual = relative_gain_errors(source, result.model.n_joints, stated)
+    if stated is not None or source == "sensor":
+        return usual
+    if not result.model.has_every_mass:
+        return np.maximum(usual, UNCALIBRATED)
+    scales = gravity_scales(result)
+    doubted = derive_gain_doubt(scales)
+    if source == "unknown" and not np.any(doubted > 0.0):
+        return usual
+    if source != "current" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
+        usual = np.maximum(usual, UNCALIBRATED)
+    return np.asarray(np.hypot(usual, doubted))
+
+
+def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
+    """Return the joints whose gravity torque differs from CAD's beyond its tolerance.
+
+    All of them where the description has no masses, so that nothing shows the scale of torques
+    that no sensor measured.
+    """
+    if source != "sensor" and not result.model.has_every_mass:
+        return result.model.joint_names
+    if source == "sensor":
+        return ()
+    doubted = derive_gain_doubt(gravity_scales(result))
+    return tuple(result.model.joint_names[k] for k in np.flatnonzero(doubted > 0.0))
+
+
+def gain_covariance(uncertainty: Array) -> Array:
+    """Return the covariance (n, n) of gains, a third of the variance common to all joints."""
+    n = len(uncertainty)
+    return np.asarray(np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON))
+
+
+def parse_gain_uncertainty(text: str | None) -> list[float] | None:
+    """Read `7%`, `0.07` or one of these per joint, separated by commas; None without text."""
+    if text is None:
+        return None
+    try:
+        return [
+            float(part.rstrip("%")) / (100.0 if part.endswith("%") else 1.0)
+            for part in (each.strip() for each in text.split(","))
+        ]
+    except ValueError:
+        raise UsageError(
+            f"gain uncertainty is {text!r}; expected a fraction for all joints or one for each,"
+            " such as 7% or 0.05,0.03,..."
+        ) from None
+
+
+def split_by_joint(
+    result: IdentificationResult, stand_in: Sequence[Array], weights: Array
+) -> Array:
+    """Return the contribution of each joint's torque to the arm's base parameters, (p, n).
+
+    `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction
+    larger, beta changes by that fraction of column k. W and tau are taken from the cause data of
+    the result (held-out data included if they are part of the recordings used), or else from
+    `stand_in`, weighted rows `[W_k | ...]` of other motion with the torque that the result
+    predicts. Dropped parameters stay zero.
+    """
+    p = result.n_base
+    beta = result.estimates
+    if result.cause_data is not None:
+        cause_data = result.cause_data
+        places = np.append(cause_data.places(result.base.names), -1)
+        parts = [cause_data.whole(cause_data.fitted)]
+        if cause_data.n_fitted < result.n_samples:
+            parts.append(cause_data.whole(cause_data.judged))
+        factors = [
+            weight * np.vstack(joint)[:, places]
+            for weight, joint in zip(weights, zip(*parts, strict=True), strict=True)
+        ]
+    else:
+        factors = [np.column_stack([rows[:, :p], rows[:, :p] @ beta]) for rows in stand_in]
+    factors = [factor * np.append(~result.dropped, True) for factor in factors]
+    matrix = sum((factor[:, :-1].T @ factor[:, :-1] for factor in factors), start=np.zeros((p, p)))
+    sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
+    return Scaled(matrix).solve(sides)

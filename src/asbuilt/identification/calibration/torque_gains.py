@@ -20,7 +20,7 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment import Recording, Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.identification.information.held_out import group_motions
+from asbuilt.identification.estimators.held_out_choice import group_motions
 from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import (
     GrowingFactor,

@@ -1,4 +1,4 @@
-"""Effects: what a description can lack, the torque that each would add, and what was found."""
+"""Effects: what a description can lack, the torque that each would add, and which a user wants."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, DriveTerm
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, available_terms
+from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.torque_prediction import parameter_torque
@@ -309,3 +311,121 @@ def effect(family: type[Effect]) -> type[Effect]:
     family.kind = family.kind or family.key
     EFFECTS.register(family.key, family())
     return family
+
+
+LINKS = "links"
+GROUPS: dict[str, str] = {
+    "friction": "friction",
+    "offset": "torque offset",
+    "armature": "armature",
+    LINKS: "mass distribution of the links",
+}
+"""Names of effects that are no family of their own, but parameters that every model has."""
+
+
+def name_group(key: str) -> str:
+    """Return the name of a group or an effect in sentences.
+
+    >>> name_group("links"), name_group("tilt")
+    ('mass distribution of the links', 'base tilt')
+    """
+    return GROUPS[key] if key in GROUPS else EFFECTS[key].title if key in EFFECTS else key
+
+
+def find_group(term: DriveTerm) -> str:
+    """Return the group of a drive term: what acts over position is an effect of its own."""
+    return term.cause or (term.key if term.by_position else "friction")
+
+
+def find_places(base: BaseParameters, key: str | None, k: int) -> Indices:
+    """Return the positions of a drive term's base parameters at a joint (from 0)."""
+    symbols = [s for term in base.drive.terms if term.key == key for s in term.symbols]
+    names = {f"{symbol}{k + 1}" for symbol in symbols}
+    return np.array([j for j, name in enumerate(base.names) if name in names], dtype=np.int64)
+
+
+def locate_drive_parameters(base: BaseParameters, joint: int) -> dict[str, list[int]]:
+    """Return where the drive parameters of a joint (from 0) are among the base parameters."""
+    groups: dict[str, list[int]] = {}
+    for term in base.drive.terms:
+        groups.setdefault(find_group(term), []).extend(find_places(base, term.key, joint).tolist())
+    return {group: places for group, places in groups.items() if places}
+
+
+TILT = "tilt"
+Choice = Literal["auto", "find", "none", "list"]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsWanted:
+    """Say which effects become part of the model.
+
+    Parameters
+    ----------
+    choice
+        All that the recordings show ("auto"), none but these are named ("find"), none ("none"), or
+        what is listed ("list").
+    drive
+        Drive terms of a list.
+    tilt
+        Whether a list has the base tilt.
+    """
+
+    choice: Choice = "auto"
+    drive: DriveSet = NO_DRIVE
+    tilt: bool = False
+
+    @property
+    def named(self) -> bool:
+        """Whether what the recordings show is named."""
+        return self.choice != "none"
+
+    @classmethod
+    def parse(cls, text: str) -> EffectsWanted:
+        """Read "auto", "find", "none" or a list of effects, with joints where they have some.
+
+        >>> EffectsWanted.parse("spring:joints=2,tilt")
+        EffectsWanted(choice='list', drive=..., tilt=True)
+
+        Raises
+        ------
+        UsageError
+            For effects that a model cannot have.
+        """
+        word = text.strip().lower()
+        if word in ("auto", "find", "none"):
+            return cls(cast(Choice, word))
+        parts = [part.strip() for part in word.split(",") if part.strip()]
+        terms = [part for part in parts if part != TILT]
+        if not parts or "none" in parts or "find" in parts or "auto" in parts:
+            raise UsageError(
+                f"effects {text!r} are neither auto, find or none nor a list of effects, such as"
+                " spring:joints=2,tilt",
+                value=text,
+            )
+        for part in terms:
+            _refuse_without_place(part.partition(":")[0])
+        return cls("list", DriveSet.parse(terms) if terms else DriveSet(), TILT in parts)
+
+    def __str__(self) -> str:
+        listed = (*self.drive.specifications, *([TILT] if self.tilt else []))
+        return ",".join(listed) if self.choice == "list" else self.choice
+
+
+def _refuse_without_place(key: str) -> None:
+    """Refuse an effect that no list can put into a model, with where it belongs."""
+    if key in available_terms():
+        return
+
+    effect = EFFECTS.get(key)
+    if effect is None:
+        return
+    if key == TILT:
+        why = "is one of the whole robot, and takes no joints"
+    elif effect.of_log:
+        why = "is an error of the log, which no model has; correct it in a recording sheet"
+    elif effect.in_model:
+        why = "is part of the bodies, which every model has; it is named where CAD lacks it"
+    else:
+        why = "has no place in a model; it is named where recordings show it"
+    raise UsageError(f"effect {key!r} ({effect.title}) {why}", value=key)

@@ -13,13 +13,12 @@ from asbuilt.dynamics import BaseParameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
-from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
+from asbuilt.identification.effects.effect import EFFECTS, FoundEffect, find_places
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
-from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.effects.search import Effects
 from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.estimators.auto import design_effect, prior_information
-from asbuilt.identification.information.held_out import (
+from asbuilt.identification.estimators.held_out_choice import (
     divide_into_folds,
     group_different_motions,
 )

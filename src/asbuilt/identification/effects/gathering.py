@@ -13,8 +13,7 @@ from asbuilt.dynamics import BaseParameters, DriveTerm
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant
-from asbuilt.identification.effects.groups import find_places
+from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, find_places
 from asbuilt.identification.information.equations import MODEL, Equations
 from asbuilt.identification.information.rows import (
     ROWS,

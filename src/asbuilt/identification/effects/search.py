@@ -17,27 +17,25 @@ from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
+from asbuilt.identification.drives.nonlinear_parameters import NonlinearPlace, fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, FoundEffect
 from asbuilt.identification.effects.families.drive_terms import with_terms
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
-from asbuilt.identification.effects.lacking import Lacking
-from asbuilt.identification.effects.selection import Selection
+from asbuilt.identification.effects.selection import Lacking, Selection
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
+from asbuilt.identification.estimators.held_out_choice import group_different_motions
 from asbuilt.identification.estimators.least_squares import (
     ROUGH_WEIGHTS,
     WEIGHT_CONVERGENCE,
     fit_least_squares,
 )
-from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
-from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
 from asbuilt.scaled import Scaled
 
 # Say what is searched.
@@ -198,7 +196,7 @@ class _Search:
                 removed = settled
                 selection = further
             else:
-                # Not asked again, else the loop would not end.
+                # Not asked again, else the search would not end.
                 self.impossible.add(own.at)
             path = _select_further(selection, removed)
         removed = [_conclude(_advance_values(each, selection), selection) for each in removed]

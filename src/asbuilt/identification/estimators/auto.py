@@ -40,6 +40,8 @@ from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
     MotionChoice,
     choose_candidate,
+    divide_into_folds,
+    group_different_motions,
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
 from asbuilt.identification.estimators.methods import estimator
@@ -50,7 +52,6 @@ from asbuilt.identification.estimators.robust import (
     reweight,
 )
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
 from asbuilt.identification.information.random_states import (
     build_random_motion_rows,
     measure_recorded_rates,

@@ -16,6 +16,7 @@ from asbuilt.identification.bodies.consistency import (
     decide_consistency,
     non_passive_drives,
 )
+from asbuilt.identification.drives.nonlinear_parameters import NonlinearErrors
 from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
@@ -25,7 +26,6 @@ from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.identification.uncertainty.bias import OmittedBias
 from asbuilt.identification.uncertainty.block_scatter import TELLING_GROWTH
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors
-from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearErrors
 from asbuilt.identification.uncertainty.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,

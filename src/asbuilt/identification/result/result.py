@@ -28,8 +28,7 @@ from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.effect import FoundEffect
-from asbuilt.identification.information.cause_data import CauseData
-from asbuilt.identification.result.recording_delay import RecordingDelay
+from asbuilt.identification.information.equations import CauseData
 from asbuilt.identification.result.stored_document import (
     AGAIN,
     FORMAT,
@@ -42,9 +41,10 @@ from asbuilt.identification.result.torque_prediction import (
     expand_parameters,
     predict_torque,
 )
-from asbuilt.identification.servo.servo_errors import ServoErrors
+from asbuilt.identification.servo.servo_rows import ServoErrors
 from asbuilt.identification.statistics import USUAL_ALPHA, confidence_intervals
 from asbuilt.identification.uncertainty.block_scatter import BlockScatter, ErrorBasis
+from asbuilt.identification.uncertainty.delay_errors import RecordingDelay
 from asbuilt.identification.uncertainty.uncertainty import FreeValues
 from asbuilt.registry import Registry
 

@@ -10,7 +10,7 @@ from pathlib import PurePath
 import numpy as np
 
 from asbuilt.description.plausibility import explain_implausible_links
-from asbuilt.experiment.signal.hold_out import RECORDINGS
+from asbuilt.experiment.signal.samples import RECORDINGS
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.calibration.encoders import describe_encoders

@@ -19,17 +19,15 @@ from asbuilt.experiment.command.servo_torque import hold_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.rows import TimeBlock
-from asbuilt.identification.servo.block_fits import (
+from asbuilt.identification.servo.servo_rows import (
+    CommandedMotion,
     block_variances,
     fit_robust_residual,
     logarithmic_error,
+    reduce_servo_recordings,
     refine_minimum,
     sum_clusters,
     usual_variances,
-)
-from asbuilt.identification.servo.servo_rows import (
-    CommandedMotion,
-    reduce_servo_recordings,
 )
 
 # Say how a deadband is searched, and when it counts as found: own choices.

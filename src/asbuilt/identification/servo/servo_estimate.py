@@ -26,7 +26,6 @@ from asbuilt.identification.servo.deviations import (
     fill_unknown,
     find_goal_limit,
 )
-from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.identification.servo.servo_fits import (
     DelayFit,
     DelaySlopes,
@@ -37,6 +36,7 @@ from asbuilt.identification.servo.servo_fits import (
 from asbuilt.identification.servo.servo_replay import Replay, replay
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
+    ServoErrors,
     reduce_servo_recordings,
 )
 from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, with_equation_noise

@@ -21,8 +21,8 @@ from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.servo.block_fits import block_variances, block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
+from asbuilt.identification.servo.servo_rows import block_variances, block_weights, sum_clusters
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors
 from asbuilt.identification.uncertainty.pose_noise import DOUBT
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS

@@ -24,10 +24,11 @@ from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.identification.information.equations import Equations
-from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
+    block_weights,
     reduce_servo_recordings,
+    sum_clusters,
 )
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot

@@ -1,15 +1,17 @@
-"""Commanded motion reduced to Gram matrices of each joint and time block."""
+"""Commanded motion reduced to Gram matrices of each joint and time block, fits and errors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.codec import store_as
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.contact import without_contact_forces
@@ -28,6 +30,7 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMot
 from asbuilt.findings import Cure
 from asbuilt.identification.information.equations import MODEL, Equations
 from asbuilt.identification.information.rows import SampleBlock, TimeBlock, divide_into_blocks
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,3 +267,125 @@ def _join_gram(gram: Array, rows: Array, signals: Array) -> Array:
     joined[:p, p:] = joined[p:, :p].T
     joined[p:, p:] = signals @ signals.T
     return joined
+
+
+CLUSTER = 5
+"""Blocks together within which residuals are taken to be correlated."""
+
+
+def fit_robust_residual(rows: Equations, k: int, used: Mask | None = None) -> Array:
+    """Return the residual of a joint's fit to the blocks `used`, as a combination of its rows."""
+    counting = np.ones(rows.n_blocks) if used is None else used.astype(np.float64)
+    weight = counting
+    # 4: passes of the robust weights, own choice.
+    for _ in range(4):
+        gram = rows.of_joint(k, weight)
+        x = Scaled(gram[:-1, :-1]).solve(gram[:-1, -1])
+        weight = counting * block_weights(rows, k, np.append(-x, 1.0))
+    return np.append(-x, 1.0)
+
+
+def usual_variances(rows: Equations, joints: Indices) -> Array:
+    """Return the median mean square of the residuals of each joint over blocks (n,), else 1."""
+    usual = np.ones(rows.n_joints)
+    for k in joints.tolist():
+        variances = block_variances(rows, k, fit_robust_residual(rows, k))
+        if np.any(np.isfinite(variances)):
+            # Exact simulations have residuals of zero, of which no ratio exists.
+            usual[k] = max(float(np.nanmedian(variances)), 1e-300)
+    return usual
+
+
+def refine_minimum(
+    costs: Callable[[float], Array], best: float, ratio: float, tolerance: float
+) -> float:
+    """Return the positive value of least cost within a ratio of the best that was tried."""
+    minimum = minimize_scalar(
+        # The logarithm: widths, limits and stiffnesses have a size, and no sign.
+        lambda x: float(np.sum(costs(float(np.exp(x))))),
+        bounds=np.log(best) + np.log(ratio) * np.array([-1.0, 1.0]),
+        method="bounded",
+        options={"xatol": tolerance},
+    )
+    return float(np.exp(minimum.x))
+
+
+def logarithmic_error(costs: Callable[[float], Array], value: float, rows: Equations) -> float:
+    """Return the standard error of the logarithm of a value, from the scores of the blocks.
+
+    `costs` returns the costs of the blocks, (B,) or (joints, B).
+    """
+    step = 0.05
+    up, here, down = (
+        np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0)
+        for s in (1.0, 0.0, -1.0)
+        # Differences by the logarithm of the value: the error is relative.
+    )
+    scores = sum_clusters((up - down) / (2.0 * step), rows)
+    curvature = float(np.sum(up + down - 2.0 * here)) / step**2
+    # Sandwich: scatter of the scores over the curvature of the cost.
+    return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
+
+
+def block_variances(rows: Equations, k: int, residual: Array) -> Array:
+    """Return the mean square in each block of a combination of joint k's rows (B,), NaN if few."""
+    count = rows.counts[k]
+    # The mean of few rows is mostly their fit.
+    many = count >= BLOCKS.fewest
+    return np.where(many, rows.energies(k, residual) / np.maximum(count, 1), np.nan)
+
+
+def block_weights(rows: Equations, k: int, residual: Array) -> Array:
+    """Return `1 / (1 + r / median(r))` with the residual variance r of a joint in each block."""
+    left = block_variances(rows, k, residual)
+    if np.all(np.isnan(left)):
+        return np.ones(left.size)
+    # A block of too few rows weighs as the median one does: 1 / (1 + 1).
+    return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
+
+
+def sum_clusters(scores: Array, rows: Equations) -> Array:
+    """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
+    sources = np.array([block.source for block in rows.blocks])
+    # A cluster ends with its recording: residuals of two are not correlated.
+    firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
+    return np.asarray(np.add.reduceat(scores, firsts))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoErrors:
+    """Hold what is known of the errors of a servo.
+
+    Parameters
+    ----------
+    kp
+        Standard errors of the stiffness (n,), 0 where it was given, infinite where nothing
+        determines it.
+    delay
+        Standard error of the delay [s], 0 where it was given.
+    lead
+        Standard error of the lead [s], 0 where it was given or none was searched.
+    goal_acceleration
+        Standard error of the limit of the goal's acceleration [rad/s^2 or m/s^2], 0 where it was
+        given or not found in every recording.
+    goal_sought
+        Whether the limit of each joint was searched in the recordings.
+    deadband
+        Standard error of the deadband [rad or m], 0 where it was given or none was found.
+    shared
+        Whether one stiffness was fitted to all joints.
+    scale
+        What gives the stiffness of each joint its scale: gravity or inertia of CAD, or "given".
+    kd_unknown
+        Whether the damping of each joint is unknown and part of its viscous friction.
+    """
+
+    kp: tuple[float, ...] = field(default=(), metadata=store_as(missing=np.inf))
+    delay: float = 0.0
+    lead: float = 0.0
+    goal_acceleration: float = 0.0
+    goal_sought: tuple[bool, ...] = ()
+    deadband: float = 0.0
+    shared: bool = False
+    scale: tuple[str, ...] = ()
+    kd_unknown: tuple[bool, ...] = ()

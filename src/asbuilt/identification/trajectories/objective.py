@@ -16,8 +16,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, smat, svec
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
-from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates, SimulatedRobot
 from asbuilt.identification.trajectories.start_elimination import Eliminated, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 

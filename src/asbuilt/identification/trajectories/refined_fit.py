@@ -16,8 +16,7 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.trajectories.objective import Objective, Point
 from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
-from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates, SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
 # Hold weights of a refined fit, and how much is simulated for it.

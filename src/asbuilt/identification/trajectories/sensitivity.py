@@ -15,7 +15,7 @@ from asbuilt.dynamics import BaseParameters, DriveSet, drive_columns, inverse_dy
 from asbuilt.dynamics.kernels.recursion import build_layout
 from asbuilt.dynamics.kernels.single_sample import work_size
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.one_sample import compile_drives
+from asbuilt.dynamics.newton_euler import compile_drives
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import SLOWEST, sensitivities, simulate

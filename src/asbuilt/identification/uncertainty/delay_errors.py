@@ -1,4 +1,4 @@
-"""Delay of the torque as a column of a fit: estimate, standard error, and what it adds to others.
+"""Delay of the torque: a recording's, as a column of a fit, and what its error adds to others.
 
 A torque that is logged late by d is `tau(t) = Y(t - d) beta`, to first order `W beta + c d` with
 `c = -d(W beta)/dt`.
@@ -16,9 +16,10 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.estimators.held_out_choice import group_motions
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
 from asbuilt.identification.result.torque_prediction import predict_in_spans
 from asbuilt.identification.uncertainty.block_scatter import BlockScores
@@ -28,6 +29,7 @@ from asbuilt.identification.uncertainty.uncertainty import (
     unit_variance,
 )
 from asbuilt.scaled import Scaled
+from asbuilt.tables import round_with_error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,3 +291,70 @@ def _derive_torque_rates(
             for rate, part in zip(rates, (torque, torque - rigid), strict=True):
                 rate[a:b] = np.gradient(part[a:b], 1.0 / samples.rate, axis=0)
     return rates
+
+
+@dataclass(frozen=True, slots=True)
+class JointDelay:
+    """Hold the delay of one joint [s]: estimate, standard error, and what was applied."""
+
+    joint: str
+    estimate: float
+    std_error: float
+    applied: float
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingDelay:
+    """Hold the time [s] by which the torque of a recording is late against position.
+
+    `estimate` and `std_error` are NaN if it was stated. `applied` was taken out of the torque, the
+    mean over joints if `joints` have their own. `digest` is the fingerprint of the recording.
+    """
+
+    source: str
+    digest: str
+    estimate: float
+    std_error: float
+    applied: float
+    joints: tuple[JointDelay, ...] = ()
+
+    @property
+    def delays(self) -> tuple[float, ...]:
+        """What was applied [s], one number or one per joint; empty for none."""
+        applied = tuple(joint.applied for joint in self.joints) or (self.applied,)
+        return applied if any(applied) else ()
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """Standard errors of what was estimated and applied [s]; empty for none."""
+        if not self.delays or np.isnan(self.estimate):
+            return ()
+        return tuple(joint.std_error for joint in self.joints) or (self.std_error,)
+
+    @property
+    def text(self) -> str:
+        """Estimate and standard error in ms, as text."""
+        if np.isnan(self.estimate):
+            return f"{1e3 * self.applied:.4g} ms (stated)" if self.applied else "none"
+        if not np.isfinite(self.std_error):
+            return "undetermined (not applied)"
+        shown = " +- ".join(round_with_error(1e3 * self.estimate, 1e3 * self.std_error))
+        return f"{shown} ms{'' if self.applied else ' (not applied)'}"
+
+
+def state_delay(recording: Recording, digest: str, delays: tuple[float, ...]) -> RecordingDelay:
+    """Return a delay that was given, one number or one per joint [s]."""
+    own = delays if len(delays) > 1 else ()
+    return RecordingDelay(
+        recording.source,
+        digest,
+        np.nan,
+        np.nan,
+        float(np.mean(delays)) if delays else 0.0,
+        joints=tuple(
+            JointDelay(name, np.nan, np.nan, delay)
+            for name, delay in zip(recording.joint_names, own, strict=True)
+        )
+        if own
+        else (),
+    )

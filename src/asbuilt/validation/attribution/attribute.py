@@ -12,15 +12,16 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure, join_names
-from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
-from asbuilt.identification.effects.families.bodies import LinkMass, Payload
-from asbuilt.identification.effects.groups import (
+from asbuilt.identification.effects.effect import (
+    EFFECTS,
     LINKS,
+    FoundEffect,
     find_group,
     locate_drive_parameters,
     name_group,
 )
-from asbuilt.identification.information.cause_data import TILT, CauseData
+from asbuilt.identification.effects.families.bodies import LinkMass, Payload
+from asbuilt.identification.information.equations import TILT, CauseData
 from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.screen import format_size

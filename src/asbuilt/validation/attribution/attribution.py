@@ -9,8 +9,7 @@ from typing import Any
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.findings import join_names
-from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
-from asbuilt.identification.effects.groups import GROUPS, name_group
+from asbuilt.identification.effects.effect import EFFECTS, GROUPS, FoundEffect, name_group
 from asbuilt.tables import Cell, Column, Shown, Table, round_significant, stack_tables, wrap_text
 from asbuilt.tables import format_share as percentage
 

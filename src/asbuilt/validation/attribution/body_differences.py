@@ -10,8 +10,8 @@ from scipy.linalg import null_space
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array
+from asbuilt.description.appearance import find_size_units
 from asbuilt.description.model import RobotModel
-from asbuilt.description.size import find_size_units
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
 from asbuilt.identification.effects.trials import RULES

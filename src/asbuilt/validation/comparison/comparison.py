@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.signal.hold_out import RECORDINGS, Blocks, parse_rule
+from asbuilt.experiment.signal.samples import RECORDINGS, Blocks, parse_rule
 from asbuilt.findings import join_names
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.tables import Table, format_share, round_significant, stack_tables, wrap_text
@@ -20,10 +20,10 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tole
 from asbuilt.validation.comparison.compared_parameter import (
     ComparedParameter,
     Verdict,
+    describe_parameters,
     tabulate_parameters,
 )
 from asbuilt.validation.comparison.equal_terms import select_tested_values
-from asbuilt.validation.comparison.parameter_text import describe_parameters
 from asbuilt.validation.comparison.significance import RESOLUTION, ChiSquare, compare_each
 from asbuilt.validation.comparison.torque_change import evaluate_torque_cost, tabulate_named_errors
 from asbuilt.validation.prediction import Validation, derive_cad_values, torque_units

@@ -26,10 +26,13 @@ from asbuilt.tables import (
     wrap_text,
 )
 from asbuilt.tables import format_share as percentage
-from asbuilt.validation.comparison.compared_parameter import ParameterTest, describe_relevance
+from asbuilt.validation.comparison.compared_parameter import (
+    ParameterTest,
+    describe_parameters,
+    describe_relevance,
+)
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, put_on_equal_terms
-from asbuilt.validation.comparison.parameter_text import describe_parameters
 from asbuilt.validation.comparison.significance import ChiSquare, compare_each
 from asbuilt.validation.comparison.torque_change import (
     JointChange,

@@ -12,8 +12,7 @@ from scipy.special import stdtr
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.findings import Finding, join_names
-from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.groups import name_group
+from asbuilt.identification.effects.effect import EFFECTS, name_group
 from asbuilt.tables import round_significant
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import recording_name

@@ -1,4 +1,4 @@
-"""Findings of validation data: whether the fit generalises, and joints at rest."""
+"""Whether a fit generalises to validation data, and joints whose torque it does not explain."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics import observation_matrix
+from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.identification import IdentificationResult
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
+from asbuilt.scaled import Scaled
+from asbuilt.tables import format_plus_minus
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.generalisation.unexplained import describe_large_errors
 from asbuilt.validation.prediction import Validation
 
 # Say what validation data must not exceed; own choices, from recordings of seven real robots.
@@ -197,3 +204,264 @@ def _word_times(validation: Validation, joints: Indices) -> str:
         if (text := describe_large_errors(validation.t, validation.error[:, k]))
     ]
     return f"; {join_names(times)}" if times else ""
+
+
+UNEXPLAINED = 0.5
+"""RMS error over the standard deviation of a joint's torque beyond which it is not explained."""
+MATTERS = 0.05
+"""RMS error over the largest RMS torque of any joint below which a joint is not named."""
+PARTS = 20
+LONGEST = 10
+MOST = 0.8
+"""Parts of the time; how many in a row, at most, have this share of the squared error if it comes
+and goes."""
+ONE_SIDED = 0.5
+"""Mean error over its RMS from which that span is pushed: contacts of 4 s in virtual logs of two
+arms have 0.55 and 0.75, errors in nine real recordings at most 0.34."""
+PUSHED = 0.1
+"""RMS error in that span over the standard deviation of a joint's torque that is a push."""
+
+
+def report_unexplained(training: Sequence[Validation]) -> Iterator[Finding]:
+    """Name joints whose torque the model explains by less than three quarters of its variance.
+
+    Also those whose error is mostly one push, a torque of one sign in one span of time. A torque
+    that is small compared with other joints' is left out: friction and noise may be most of it.
+    """
+    for validation in training:
+        error = np.sqrt(np.mean(validation.error**2, axis=0))
+        spread = np.std(validation.measured, axis=0)
+        largest = float(np.max(np.sqrt(np.mean(validation.measured**2, axis=0))))
+        for k in np.flatnonzero(error > MATTERS * largest):
+            wrong = validation.error[:, k]
+            # A contact comes once: in one span of the time.
+            within = find_large_errors(validation.t, wrong)
+            pushed = within is not None and _is_push(wrong[within], spread[k])
+            # Half the standard deviation is a quarter of the variance.
+            if not pushed and error[k] <= UNEXPLAINED * spread[k]:
+                continue
+            yield Finding(
+                "torque_unexplained",
+                "warning",
+                f"The model does not explain the torque of {validation.joint_names[k]} in"
+                f" {recording_name(validation.source)}:"
+                f" RMS error {error[k]:.3g} of {spread[k]:.3g} {validation.units[k]}"
+                f"{describe_large_errors(validation.t, wrong)}",
+                Cure("check the column, the sensor and what touched the robot then"),
+                joint=validation.joint_names[k],
+            )
+
+
+def describe_large_errors(t: Array, error: Array) -> str:
+    """Return when the error (N,) is large, as text; empty if not most of it comes at one time."""
+    within = find_large_errors(t, error)
+    if within is None:
+        return ""
+    return f", most of it from {t[within][0]:.4g} to {t[within][-1]:.4g} s"
+
+
+def find_large_errors(t: Array, error: Array) -> Mask | None:
+    """Return the samples (N,) of the shortest span with most of the squared error (N,).
+
+    None if that is more than half the time.
+    """
+    # Rounding must not number a part more.
+    part = np.minimum(np.arange(t.size) * PARTS // t.size, PARTS - 1)
+    sums = np.concatenate([[0.0], np.cumsum(np.bincount(part, error**2, PARTS))])
+    # The shortest span first, up to half of the time.
+    for width in range(1, LONGEST + 1):
+        within = sums[width:] - sums[:-width]
+        first = int(np.argmax(within))
+        if within[first] >= MOST * sums[-1]:
+            inside: Mask = (part >= first) & (part < first + width)
+            return inside
+    return None
+
+
+def _is_push(error: Array, spread: float) -> bool:
+    """Return whether errors (N,) of a span are large and of one sign."""
+    size = float(np.sqrt(np.mean(error**2)))
+    return size > PUSHED * spread and abs(float(np.mean(error))) > ONE_SIDED * size
+
+
+# Say when a torque error returns with the state of its joint: own choices.
+
+RETURNING_ORDER = 36  # Half waves over the range of positions, at most a turn: 18 teeth or poles
+RETURNING_STIFF = (1.0, 10.0, 100.0)  # Trial weights of the prior, in samples
+# Parts of a recording that are held out in turn; what returns is predicted by the others
+RETURNING_FOLDS = 8
+RETURNING_MOST = 20_000  # Samples of long recordings
+RETURNING_SURE = 2.0  # Standard errors over the parts
+RETURNING_SHARE = 0.2  # Share of the squared error from which on it is reported
+# Share of the joint's torque below which it is of no account: torque sensors err as much
+RETURNING_FELT = 0.01
+
+
+def report_nameless(
+    training: Sequence[Validation], samples: Sequence[Samples]
+) -> Iterator[Finding]:
+    """Name joints whose torque error returns wherever they pass a position in one direction.
+
+    Noise does not return; what does is a torque that the model has no name for. `samples` are those
+    of the predictions in `training`.
+    """
+    named = []
+    for k, joint in enumerate(training[0].joint_names if training else ()):
+        q, qd, error, torque = (
+            np.concatenate(channel)
+            for channel in zip(
+                *(
+                    (
+                        np.interp(prediction.t, own.t, own.q[:, k]),
+                        prediction.velocity[:, k],
+                        prediction.error[:, k],
+                        prediction.measured[:, k],
+                    )
+                    for prediction, own in zip(training, samples, strict=True)
+                ),
+                strict=True,
+            )
+        )
+        # Ceiling division: at most `most` samples.
+        every = -(-q.size // RETURNING_MOST)
+        share, chance = returning_share(q[::every], qd[::every] > 0.0, error[::every])
+        # Squares on both sides: `felt` is a share of the torque, not of its square.
+        felt = share * np.mean(error**2) > RETURNING_FELT**2 * np.mean(torque**2)
+        if felt and share > max(RETURNING_SHARE, RETURNING_SURE * chance):
+            named.append(f"{joint} ({100 * share:.0f} %)")
+    if named:
+        yield Finding(
+            "torque_nameless",
+            "info",
+            f"Something that we cannot name acts at {join_names(named, 4)}: this share of the"
+            " squared"
+            " torque error returns wherever the joint passes a position in the same direction",
+            Cure("look at the torque error over position: cables, cogging, uneven friction"),
+        )
+
+
+def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float]:
+    """Return the share of a squared error (N,) that returns with position and direction (N,).
+
+    And its standard error. A cosine series over the range of positions for each direction, with
+    coefficients that fall as the order grows, is fitted to all parts of the recording but one and
+    predicts that one (cross-validation; Stone, J. Royal Statistical Society B 36, 1974). Noise
+    predicts nothing, so that the share is negative. What turns by more than one turn is taken to
+    have the same error after each.
+    """
+    order = np.arange(RETURNING_ORDER + 1)
+    whole = 2.0 * np.pi
+    span = float(np.ptp(q))
+    # Beyond a turn the same tooth passes again.
+    way = (q - q.min()) % whole if span > whole else q - q.min()
+    turn = np.pi * way / max(min(span, whole), np.finfo(np.float64).tiny)
+    wave = np.cos(turn[:, None] * order)
+    # Each direction has a series of its own: friction differs by it.
+    X = np.hstack([wave * forward[:, None], wave * ~forward[:, None]])
+    fold = np.arange(q.size) * RETURNING_FOLDS // q.size
+    grams = np.array([X[fold == f].T @ X[fold == f] for f in range(RETURNING_FOLDS)])
+    sides = np.array([X[fold == f].T @ error[fold == f] for f in range(RETURNING_FOLDS)])
+    # Fine waves need more evidence than coarse ones.
+    prior = np.tile(1.0 + (order / 4.0) ** 2, 2)
+    energy = np.bincount(fold, error**2, RETURNING_FOLDS)
+    best = (-np.inf, 0.0)
+    for stiff in RETURNING_STIFF:
+        ends = np.linalg.solve(
+            grams.sum(axis=0) - grams + stiff * np.diag(prior),
+            (sides.sum(axis=0) - sides)[..., None],
+        )[..., 0]
+        # |X b - e|^2 - |e|^2 on each part, by sums over it.
+        left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
+        mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING_FOLDS
+        shares = -left / mean
+        error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING_FOLDS)
+        # The best prior by held-out error, with its standard error.
+        best = max(best, (float(shares.mean()), error_of_mean))
+    return best
+
+
+SAMPLES = 1500
+"""Samples of a recording that are looked at."""
+BLOCKS = 12
+"""Parts of a recording by whose scatter the moments have errors."""
+SURE = 4.0
+"""Standard errors from which a moment is named: the model's own error is no noise."""
+SLOWEST = 0.02
+"""Rate of turning [rad/s] below which a foot sticks, and its moment has no direction."""
+
+
+@use_one_blas_thread()
+def report_foot_moments(
+    result: IdentificationResult, samples: Sequence[Samples]
+) -> Iterator[Finding]:
+    """Name friction that brakes the turning and rolling of feet.
+
+    A foot that is pressed down by f and turns at w has the moment `-l f sign(w)` about the normal,
+    and the same about the ground's axes as it rolls, each with a length l. Both are fitted with all
+    base parameters to what forces at the feet leave, with errors by the scatter of time blocks.
+    """
+    model = result.model
+    used = [batch for batch in samples if batch.contact is not None]
+    if model.n_floating != 6 or not used or any(contact.flat for contact in model.contacts):
+        return
+    n_base = result.n_base
+    blocks: list[Array] = []
+    for batch in used:
+        rows = _build_rows(result, model, batch)
+        blocks += [part.T @ part for part in np.array_split(rows, BLOCKS)]
+    total = np.sum(blocks, axis=0)
+    normal = Scaled(total[:-1, :-1])
+    if not normal.determined[n_base:].any():
+        return
+    values = normal.solve(total[:-1, -1])
+    scores = np.array([block[:-1, -1] - block[:-1, :-1] @ values for block in blocks])
+    spread = normal.solve(scores.T)
+    errors = np.sqrt(np.sum(spread**2, axis=1) * len(blocks) / (len(blocks) - 1))
+    parts = [
+        f"{what} {format_plus_minus(1e3 * values[place], 1e3 * errors[place])} mm"
+        for what, place in (("torsional", n_base), ("rolling", n_base + 1))
+        if values[place] > SURE * errors[place] > 0.0
+    ]
+    if parts:
+        yield Finding(
+            "foot_moments",
+            "warning",
+            f"Feet have moments that brake their turning, which forces at a point do not have:"
+            f" friction per force, {' and '.join(parts)}; errors of parameters do not include them",
+            Cure("log forces and moments at the feet, or use motions on which feet do not turn"),
+        )
+
+
+def _build_rows(result: IdentificationResult, model: RobotModel, batch: Samples) -> Array:
+    """Return rows of base parameters, both moments per length, and torque, without forces."""
+    every = slice(None, None, -(-batch.n_samples // SAMPLES))
+    q, qd, qdd, tau = (x[every] for x in (batch.q, batch.qd, batch.qdd, batch.tau))
+    assert batch.contact is not None
+    closed = batch.contact[every] > 0.0
+    n = model.n_joints
+    base = result.base
+    W = observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
+    W = W.reshape(len(q), n, -1)
+    as_soles = tuple(replace(contact, flat=True) for contact in model.contacts)
+    J = np.stack(contact_jacobians(replace(model, contacts=as_soles), q), axis=1)
+    J = J * closed[:, :, None, None]
+    # Forces at the points, three each, follow from the equations; what they leave has none.
+    across = J[:, :, :3].reshape(len(q), -1, n)
+    back = np.linalg.pinv(across)
+    force = np.einsum("snm,sn->sm", back, W @ result.estimates - tau).reshape(len(q), -1, 3)
+    turning = np.einsum("sckj,sj->sck", J[:, :, 3:], qd)
+    pressed = np.maximum(force[:, :, 2], 0.0)
+    spin = turning[:, :, 2] / np.maximum(np.abs(turning[:, :, 2]), SLOWEST)
+    level = turning[:, :, :2]
+    roll = level / np.maximum(np.linalg.norm(level, axis=2, keepdims=True), SLOWEST)
+    moments = np.stack(
+        [
+            -np.einsum("sc,scj->sj", pressed * spin, J[:, :, 5]),
+            -np.einsum("sck,sckj->sj", pressed[:, :, None] * roll, J[:, :, 3:5]),
+        ],
+        axis=2,
+    )
+    whole = np.concatenate([W, -moments, tau[:, :, None]], axis=2)
+    whole -= np.einsum("smj,snm,snc->sjc", across, back, whole, optimize=True)
+    whole /= result.sigma[:, None]
+    return whole.reshape(-1, whole.shape[2])

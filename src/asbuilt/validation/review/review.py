@@ -19,21 +19,18 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, compare
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import RESOLUTION, benjamini_hochberg
-from asbuilt.validation.letter import LETTERS
-from asbuilt.validation.prediction import Validation
+from asbuilt.validation.prediction import LETTERS, Validation
 from asbuilt.validation.review.claimed_numbers import (
+    TOGETHER,
     Claim,
     ClaimedNumber,
     ClaimVerdict,
     Profile,
-    list_claimed_numbers,
-    profile_numbers,
-)
-from asbuilt.validation.review.servo_claims import (
-    TOGETHER,
     derive_scale_errors,
     derive_servo_damping,
+    list_claimed_numbers,
     list_servo_aliases,
+    profile_numbers,
     review_servo_claims,
 )
 

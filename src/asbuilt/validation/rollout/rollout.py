@@ -16,17 +16,18 @@ from asbuilt.errors import InertiaError
 from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.tables import Cell, Column, Shown, Table, round_significant
-from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
 from asbuilt.validation.rollout.position_errors import (
     OUTLYING,
     OutlyingWindow,
     RecordingErrors,
     RolloutErrors,
     average_errors,
+    delay_command,
     drop_lost,
     find_divergence,
     find_outlying_windows,
     measure_rollout_errors,
+    pair_repeated_windows,
     position_unit,
 )
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.experiment.signal.hold_out import RECORDINGS
+from asbuilt.experiment.signal.samples import RECORDINGS
 from asbuilt.findings import Finding, join_names
 from asbuilt.identification import FeasibleInterval, IdentificationResult
 from asbuilt.tables import format_share, round_significant

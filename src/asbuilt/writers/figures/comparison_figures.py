@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asbuilt.identification.effects.groups import name_group
+from asbuilt.identification.effects.effect import name_group
 from asbuilt.tables import round_significant
 from asbuilt.validation import Attribution, Claim, Comparison, Drift, Review
 from asbuilt.writers.figures.figure_style import (

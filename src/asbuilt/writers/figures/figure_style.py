@@ -1,4 +1,4 @@
-"""Style of figures: colours, empty figures with a headline, files and addresses.
+"""Style of figures: colours, empty figures with a headline, curves thinned, files and addresses.
 
 Colours by Okabe and Ito (2008), distinct for the colour-blind and in grey.
 """
@@ -13,12 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from asbuilt.arrays import Array, Indices
 from asbuilt.errors import UsageError
 from asbuilt.tables import shorten_text
-from asbuilt.writers.files import atomic_write, data_address
+from asbuilt.validation.residuals import find_contiguous_segments
+from asbuilt.writers.files import data_address
+from asbuilt.writing import atomic_write
 
 BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
     "#0072B2",
@@ -150,3 +154,39 @@ def add_headline(figure: Figure, title: str) -> None:
 def encode_figure(figure: Figure) -> str:
     """Return a figure as a `data:` address of an SVG; equal figures give equal texts."""
     return data_address(_draw_figure(figure, "svg"), "image/svg+xml")
+
+
+def thin_curves(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
+    """Return `t` (M,) and each curve (M,) thinned to about `points`.
+
+    Every bucket of time keeps the samples where any curve is smallest and largest, and each
+    contiguous segment its ends; NaN between segments keeps lines from bridging gaps.
+    """
+    share = points / max(len(t), 1)
+    kept = list[list[Array]]()
+    for start, stop in find_contiguous_segments(t):
+        index = start + _find_extremes(
+            [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))
+        )
+        kept.append([np.append(curve[index], np.nan) for curve in (t, *curves)])
+    if not kept:
+        return t, *curves
+    # No gap behind the last segment.
+    return tuple(np.concatenate(parts)[:-1] for parts in zip(*kept, strict=True))
+
+
+def _find_extremes(curves: list[Array], points: int) -> Indices:
+    """Return the indices of the bucket-wise extremes of every curve, and of both ends."""
+    n = len(curves[0])
+    if n <= points:
+        return np.arange(n)
+    width = max(1, -(-2 * len(curves) * n // points))
+    whole = n // width * width
+    chosen: list[Indices] = [np.array([0, n - 1])]
+    offsets = np.arange(0, whole, width)
+    for curve in curves:
+        buckets = curve[:whole].reshape(-1, width)
+        chosen += [offsets + buckets.argmin(axis=1), offsets + buckets.argmax(axis=1)]
+        if whole < n:
+            chosen.append(whole + np.array([curve[whole:].argmin(), curve[whole:].argmax()]))
+    return np.unique(np.concatenate(chosen))

@@ -1,4 +1,4 @@
-"""The robot as built: standard parameters and drives of a result."""
+"""The robot as built: standard parameters and drives of a result, and states to compare it at."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.bodies.cad_prior import find_non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
-from asbuilt.writers.models.sample_states import draw_sample_states
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,3 +210,28 @@ def note_load_friction(result: IdentificationResult, built: AsBuilt) -> tuple[st
     )
     # Torques [N m or N] that differ by less are the same.
     return (note,) if apart > 1e-9 else ()
+
+
+def draw_sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
+    """Return `count` random q, qd, qdd within the limits, each (count, n); the same every time."""
+    # A fixed seed: the same file gives the same note.
+    rng = np.random.default_rng(0)
+    n = model.n_joints
+    # A turn, or half a metre, stands for limits that a joint does not have.
+    reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]
+    lower = np.array(
+        [max(joint.limits.lower, -r) for joint, r in zip(model.joints, reach, strict=True)]
+    )
+    upper = np.array(
+        [min(joint.limits.upper, r) for joint, r in zip(model.joints, reach, strict=True)]
+    )
+    # Largest speed [rad/s or m/s].
+    speed = np.array([min(joint.limits.velocity, 3.0) for joint in model.joints])
+    # Limits apart from zero may leave upper below lower: the joint is held there.
+    q = lower + (np.maximum(upper, lower) - lower) * rng.uniform(size=(count, n))
+    # Largest acceleration [rad/s^2 or m/s^2].
+    return (
+        q,
+        speed * rng.uniform(-1.0, 1.0, (count, n)),
+        10.0 * rng.uniform(-1.0, 1.0, (count, n)),
+    )

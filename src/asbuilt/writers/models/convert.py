@@ -15,10 +15,10 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, join_names
 from asbuilt.writers.files import file_lines
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.physical import note_implausible_links
 from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.urdf import write_urdf
 
 

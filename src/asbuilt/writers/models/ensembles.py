@@ -17,7 +17,7 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.ensembles.ensemble import QUANTILES, Ensemble
 from asbuilt.tables import Column, Shown, Table, round_significant
-from asbuilt.writers.files import atomic_write, file_lines, file_set, path_texts
+from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     keep_described_drives,
     with_servo,
@@ -28,6 +28,7 @@ from asbuilt.writers.models.mjcf import note_mjcf_limits, write_mjcf
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.models.urdf_edit import note_urdf_limits
 from asbuilt.writers.tables.tabular import write_json
+from asbuilt.writing import atomic_write, file_set
 
 
 def encode_parquet(ensemble: Ensemble) -> bytes:

@@ -20,7 +20,7 @@ from asbuilt.identification.information.random_states import build_random_motion
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import round_significant
-from asbuilt.validation.nearest_consistent import NearestModel, compare_with_nearest
+from asbuilt.validation.verdicts.verdict_error import NearestModel, compare_with_nearest
 from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     as_built,
@@ -33,8 +33,8 @@ from asbuilt.writers.models.mjcf import (
     describe_rotors,
     mjcf_holds,
     write_mjcf,
+    write_passive,
 )
-from asbuilt.writers.models.mujoco_passive import write_passive
 from asbuilt.writers.models.nearest_terms import NearestTerms, find_nearest_terms
 from asbuilt.writers.models.physical import (
     note_implausible_links,

@@ -15,9 +15,8 @@ from asbuilt.description.model import PLAIN_TERMS, USUAL_GRAVITY, DriveValues, J
 from asbuilt.dynamics import DriveSet, drive_columns, gravity_torque, inverse_dynamics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import format_share
-from asbuilt.writers.models.as_built import AsBuilt
+from asbuilt.writers.models.as_built import AsBuilt, draw_sample_states
 from asbuilt.writers.models.physical import make_friction_plain
-from asbuilt.writers.models.sample_states import draw_sample_states
 
 Holds = Callable[[str, Mapping[str, float]], bool]
 """Whether a format holds a drive term of this key and these numbers."""

@@ -25,7 +25,7 @@ from asbuilt.description.model import (
     RobotModel,
     Symbols,
 )
-from asbuilt.writers.files import atomic_write
+from asbuilt.writing import atomic_write
 
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 

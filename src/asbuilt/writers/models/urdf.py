@@ -21,9 +21,9 @@ from asbuilt.description.rotation import (
 from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure, join_names
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import convert_to_plain_friction, refuse_inconsistent
 from asbuilt.writers.models.urdf_edit import TENSOR, edit_urdf, note_urdf_limits
+from asbuilt.writing import atomic_write
 
 PROPORTIONAL = 1e-9
 """Largest change of a share for which a passive joint counts as one that follows."""

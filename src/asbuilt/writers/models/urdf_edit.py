@@ -12,17 +12,15 @@ from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, described_text
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
-from asbuilt.description.structure.free_base import classify_base
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
-from asbuilt.writers.models.as_built import FEASIBLE_NOTE
+from asbuilt.writers.models.as_built import FEASIBLE_NOTE, draw_sample_states
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
     note_left_out_drives,
     refuse_inconsistent,
 )
-from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, list_attribute_edits
 
 TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
@@ -52,7 +50,7 @@ def edit_urdf(
     refuse_inconsistent(model)
     plain = convert_to_plain_friction(model)
     content, source = described_text(original)
-    kind = classify_base(model.n_floating)
+    kind = model.base_kind
     # Of the same joints as the model, since locked ones stay in the file.
     described = _lock_alike(read_urdf(original, base=kind), model)
     _check_same_robot(described, model, source)

@@ -18,10 +18,9 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.excitation import Motion, read_motion
 from asbuilt.validation import Rollout, SimulatedMotion, position_unit
-from asbuilt.writers.files import atomic_write
-from asbuilt.writers.pictures.motion_view import MotionView, place_ends
-from asbuilt.writers.pictures.skeleton import Camera, draw_skeleton_frames
+from asbuilt.writers.pictures.skeleton import Camera, MotionView, draw_skeleton_frames, place_ends
 from asbuilt.writers.pictures.viewer import Viewer
+from asbuilt.writing import atomic_write
 
 STILLS = (".png",)
 ANIMATIONS = (".gif", ".webp")

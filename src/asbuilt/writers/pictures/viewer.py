@@ -20,8 +20,7 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.findings import Cure
-from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import build_round_mesh
+from asbuilt.writers.pictures.skeleton import MotionView, build_round_mesh
 
 ROD = (205, 208, 213)
 HOUSING = (226, 122, 32)
@@ -107,7 +106,7 @@ class Viewer:
         return str(recorder.as_html())
 
     def serve(self, *, until: Callable[[], bool] | None = None) -> None:
-        """Play the motion in a loop until interrupted or `until()` is true."""
+        """Play the motion again and again until interrupted or `until()` is true."""
         controls = _Controls(self)
         last = time.perf_counter()
         while until is None or not until():

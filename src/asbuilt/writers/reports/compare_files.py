@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from asbuilt.findings import join_names
 from asbuilt.identification import Determination, IdentificationResult
-from asbuilt.identification.effects.groups import name_group
+from asbuilt.identification.effects.effect import name_group
 from asbuilt.tables import format_share, round_significant, wrap_text
 from asbuilt.validation import Attribution, Comparison, Drift, recording_name
 from asbuilt.validation.comparison.torque_change import tabulate_joint_changes
@@ -21,7 +21,6 @@ from asbuilt.writers.figures.comparison_figures import (
     draw_drift,
 )
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.cards import (
     make_determination_card,
     make_difference_card,
@@ -38,6 +37,7 @@ from asbuilt.writers.reports.page import (
     render_page,
     table_markup,
 )
+from asbuilt.writing import atomic_write
 
 NO_CAUSES = (
     "Causes of the CAD error, and the torque of differences, are unknown: the result has no cause"

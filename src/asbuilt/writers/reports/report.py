@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,12 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.identification.calibration.payload import Payload
+from asbuilt.registry import Registry
 from asbuilt.validation import Recovery, ResidualAnalysis, Validation, VelocityCurve, recording_name
 from asbuilt.workflow.study import Study
-from asbuilt.writers.figures.thinning import thin_curves
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.figures.figure_style import thin_curves
 from asbuilt.writers.reports.page import Block, read_resource, render_page, section_markup
-from asbuilt.writers.reports.section import Report, sections
+from asbuilt.writing import atomic_write
 
 
 def write_report(
@@ -160,3 +162,58 @@ def _round_values(values: Array, digits: int = 5) -> list[float | None]:
     return [
         float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()
     ]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Hold what a report shows: a study, the payload identified with it, and the command line.
+
+    `recovery` compares the result with the truth of a virtual robot.
+    """
+
+    study: Study
+    payload: Payload | None = None
+    command: Sequence[str] = ()
+    recovery: Recovery | None = None
+
+    @cached_property
+    def predictions(self) -> tuple[tuple[str, Validation], ...]:
+        """Predictions with their names: of validation data, then of training data."""
+        return (
+            *(
+                (recording_name(validation.source), validation)
+                for validation in self.study.validations
+            ),
+            *((f"{recording_name(each.source)}, training", each) for each in self.study.training),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Describe one section of a report.
+
+    Parameters
+    ----------
+    title
+        Heading, and name in the contents.
+    order
+        Place on the page; sections with smaller numbers come first.
+    template
+        Text of a Jinja template; names are escaped.
+    context
+        Function from a `Report` to the fields of the template; None leaves the section out.
+    folded
+        Whether a reader opens it: what is no part of the decision.
+    """
+
+    title: str
+    order: float
+    template: str
+    context: Callable[[Report], Mapping[str, Any] | None]
+    folded: bool = False
+
+
+sections: Registry[Section] = Registry(
+    "report section", "asbuilt.writers.reports.sections", "asbuilt.report_sections"
+)
+"""Sections by identifier; another distribution adds its own by this entry point group."""

@@ -24,11 +24,10 @@ from asbuilt.tables import (
 )
 from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.comparison.significance import RESOLUTION
-from asbuilt.validation.letter import LETTERS
+from asbuilt.validation.prediction import LETTERS
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
 from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,
     Card,
@@ -39,6 +38,7 @@ from asbuilt.writers.reports.page import (
     render_page,
     table_markup,
 )
+from asbuilt.writing import atomic_write
 
 DRIVES = ("armature", "damping", "damping + kv", "friction loss", "kp", "kv", "forcerange")
 

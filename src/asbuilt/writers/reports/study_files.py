@@ -20,18 +20,18 @@ from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.recovery import Recovery
 from asbuilt.workflow.study import Study
-from asbuilt.writers.files import atomic_write, file_set
 from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
 from asbuilt.writers.tables.drive_tables import tabulate_motor_side
-from asbuilt.writers.tables.mass_tables import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_text, tabulate_payload
 from asbuilt.writers.tables.rollout_tables import describe_refinement, rollout_text
 from asbuilt.writers.tables.tabular import (
+    exported_masses,
     identify_document,
     tabulate_identified,
     tabulate_prediction,
     write_json,
 )
+from asbuilt.writing import atomic_write, file_set
 
 MEMBERS = (
     "result.json",

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from asbuilt.apps.fleet.drift.change_points import (
+from asbuilt.apps.fleet.drift.variation import (
     SCAN,
+    History,
     NullDistribution,
+    estimate_variation,
     scan,
     scan_probability,
 )
-from asbuilt.apps.fleet.drift.variation import History, estimate_variation
 
 
 def histories(

@@ -22,9 +22,9 @@ from asbuilt.dynamics import (
     regressor,
 )
 from asbuilt.errors import UsageError
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.c.c_code import generate_c_code, write_c
 from asbuilt.writers.models.c.c_expressions import StraightLine, Term
-from asbuilt.writers.models.sample_states import draw_sample_states
 from studied_cases import first_of
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1")

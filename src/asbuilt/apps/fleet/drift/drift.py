@@ -11,11 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.apps.fleet.drift.change_points import SCAN, scan
-from asbuilt.apps.fleet.drift.columns import Day, FleetColumns, make_day, merge_by_day
-from asbuilt.apps.fleet.drift.directions import Directions, find_directions
+from asbuilt.apps.fleet.drift.columns import (
+    Day,
+    Directions,
+    FleetColumns,
+    find_directions,
+    make_day,
+    merge_by_day,
+)
 from asbuilt.apps.fleet.drift.explanation import explain_change
-from asbuilt.apps.fleet.drift.variation import WEAK, History, Variation, estimate_variation
+from asbuilt.apps.fleet.drift.variation import (
+    SCAN,
+    WEAK,
+    History,
+    Variation,
+    estimate_variation,
+    scan,
+)
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.apps.fleet.ledger.settings import TypeSettings
 from asbuilt.apps.fleet.options import FleetDriftOptions

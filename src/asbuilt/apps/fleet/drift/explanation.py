@@ -8,8 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from asbuilt.apps.fleet.drift.columns import Day, FleetColumns, sum_days
-from asbuilt.apps.fleet.drift.directions import PAYLOAD, Directions, Source, list_sources
+from asbuilt.apps.fleet.drift.columns import (
+    PAYLOAD,
+    Day,
+    Directions,
+    FleetColumns,
+    Source,
+    list_sources,
+    sum_days,
+)
 from asbuilt.apps.fleet.drift.variation import Variation
 from asbuilt.arrays import Array
 from asbuilt.identification import (

@@ -1,4 +1,4 @@
-"""An entry of a ledger: the information of one log, as one Parquet file.
+"""An entry of a ledger: the information of one log, as one Parquet file, and its merging.
 
 A row is a joint and a time block; block -1 is the whole log. `schema` has the columns.
 """
@@ -9,30 +9,33 @@ import hashlib
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from asbuilt.apps.fleet.ledger.merging import merge_blocks
-from asbuilt.apps.fleet.ledger.schema import SCHEMA, DateSource, check_schema
 from asbuilt.apps.fleet.ledger.settings import (
     FORMAT_VERSION,
+    SCHEMA,
     SOFTWARE,
+    DateSource,
     TypeSettings,
+    check_schema,
     check_version,
 )
 from asbuilt.apps.fleet.ledger.store import name_entry_folder, unpack_table
 from asbuilt.arrays import Array
 from asbuilt.children import open_scratch
+from asbuilt.dynamics import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, RecordingError, ResultError
 from asbuilt.experiment import read_isolated
 from asbuilt.findings import Cure
-from asbuilt.identification import SquareRootInformation, TimeBlock
+from asbuilt.identification import SquareRootInformation, TimeBlock, triangular_factor
 
 DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""
@@ -352,3 +355,36 @@ def join_entries(entries: Sequence[Entry], most: int) -> SquareRootInformation:
         merge_blocks(entry.information, each) if each > 1 else entry.whole for entry in entries
     )
     return first.merge(*others)
+
+
+def merge_factors(factors: Array) -> Array:
+    """Return one factor (q, q) of several (m, q, q), merged pair by pair.
+
+    The tree depends on m alone, so the result is the same to the last bit wherever it is made; an
+    entry takes part in log2(m) mergers, not in m.
+    """
+    while len(factors) > 1:
+        pairs = factors[: len(factors) // 2 * 2].reshape(-1, 2 * factors.shape[1], factors.shape[2])
+        merged = np.array([triangular_factor(pair) for pair in pairs])
+        factors = np.concatenate([merged, factors[2 * len(pairs) :]])
+    return np.asarray(factors[0])
+
+
+def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:
+    """Return the information with at most `most` blocks, equal numbers of neighbours merged.
+
+    Blocks of different recordings are merged too where there are more recordings than `most`.
+    """
+    n = information.n_blocks
+    if n <= most:
+        return information
+    edges = np.linspace(0, n, most + 1).round().astype(int).tolist()
+    groups = list(pairwise(edges))
+    with use_one_blas_thread():
+        factors = tuple(
+            np.array([merge_factors(factor[first:last]) for first, last in groups])
+            for factor in information.factors
+        )
+    sums = [information.torque_sum[first:last].sum(axis=0) for first, last in groups]
+    times = [TimeBlock.spanning(information.blocks[first:last]) for first, last in groups]
+    return replace(information, factors=factors, torque_sum=np.array(sums), blocks=tuple(times))

@@ -9,8 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from asbuilt import StudyOptions, prepare
-from asbuilt.apps.fleet.ledger.schema import EARLIEST, LATEST, DateSource
-from asbuilt.apps.fleet.ledger.settings import TypeSettings, name_robot_type
+from asbuilt.apps.fleet.ledger.settings import (
+    EARLIEST,
+    LATEST,
+    DateSource,
+    TypeSettings,
+    name_robot_type,
+)
 from asbuilt.description import RobotModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import (

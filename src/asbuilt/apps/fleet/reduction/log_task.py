@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt import prepare
-from asbuilt.apps.fleet.ledger.entry import DIGITS, Entry, EntryName
+from asbuilt.apps.fleet.ledger.entry import DIGITS, Entry, EntryName, merge_blocks
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
-from asbuilt.apps.fleet.ledger.merging import merge_blocks
 from asbuilt.apps.fleet.ledger.settings import TypeSettings
 from asbuilt.apps.fleet.reduction.log_source import choose_log_date, hash_sources, read_logs
 from asbuilt.arrays import Array

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from asbuilt.apps.programs.maker_numbers import (
+from asbuilt.apps.programs.naming import (
     MILLIMETRES,
     find_principal_axes,
     format_decimals,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from asbuilt.apps.programs.maker_numbers import (
+from asbuilt.apps.programs.naming import (
     MILLIMETRES,
     format_decimals,
     list_decimals,

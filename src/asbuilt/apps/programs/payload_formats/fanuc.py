@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.apps.programs.maker_numbers import format_decimals
+from asbuilt.apps.programs.naming import format_decimals
 from asbuilt.writers import PAYLOAD_FORMATS, CarriedBody, PayloadFormat
 
 CENTIMETRES = 100.0

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.apps.programs.maker_numbers import format_decimals, list_decimals
+from asbuilt.apps.programs.naming import format_decimals, list_decimals
 from asbuilt.codec import format_json
 from asbuilt.writers import PAYLOAD_FORMATS, CarriedBody, PayloadFormat
 

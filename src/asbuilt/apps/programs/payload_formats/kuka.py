@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.apps.programs.maker_numbers import (
+from asbuilt.apps.programs.naming import (
     MILLIMETRES,
     find_principal_axes,
     format_decimals,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from asbuilt.apps.programs.maker_numbers import format_decimals, list_decimals, list_inertia
+from asbuilt.apps.programs.naming import format_decimals, list_decimals, list_inertia
 from asbuilt.writers import PAYLOAD_FORMATS, CarriedBody, PayloadFormat
 
 

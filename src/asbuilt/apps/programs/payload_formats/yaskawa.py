@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.apps.programs.maker_numbers import MILLIMETRES, format_decimals, list_decimals
+from asbuilt.apps.programs.naming import MILLIMETRES, format_decimals, list_decimals
 from asbuilt.writers import PAYLOAD_FORMATS, CarriedBody, PayloadFormat
 
 

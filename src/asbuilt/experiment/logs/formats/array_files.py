@@ -14,11 +14,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
+    isolate,
     tabulate_variables,
 )
 from asbuilt.findings import Cure
@@ -196,7 +196,7 @@ def read_hdf5(path: Path) -> LogTable:
     """
     import h5py  # noqa: PLC0415
 
-    # What a visitor raises is lost in h5py's locks, so that it finds and the loops below refuse.
+    # What a visitor raises is lost in h5py's locks, so that it finds and the code below refuses.
     links: dict[str, Any] = {}
     items: dict[str, Any] = {}
     variables: dict[str, Array] = {}

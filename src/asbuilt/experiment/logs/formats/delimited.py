@@ -15,9 +15,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import MOST_COLUMNS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
+    MOST_COLUMNS,
     LogFormat,
     LogStream,
     LogTable,

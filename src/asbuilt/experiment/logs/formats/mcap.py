@@ -16,11 +16,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
+    isolate,
     tabulate_variables,
 )
 from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag

@@ -13,12 +13,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import isolate, read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogStream,
     LogTable,
+    isolate,
+    read_isolated,
 )
 from asbuilt.findings import Cure
 from asbuilt.isolated_reading import Answer, FileKind, read_parts_apart

@@ -26,10 +26,10 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.models.as_built import draw_sample_states
 from asbuilt.writers.models.c.c_dynamics import Mechanism, add_drives, list_drive_entries
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
-from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writing import atomic_write
 
 CHECKED_STATES = 3
 """States in the self-test of the C file."""

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.dynamics.drives.formula import Formula
+from asbuilt.dynamics.drives.term import Formula
 from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
 
 Matrix = tuple[Vector, ...]

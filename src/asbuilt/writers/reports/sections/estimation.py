@@ -8,9 +8,9 @@ from typing import Any
 from asbuilt.identification import FoundEffect, IdentificationResult, method_title
 from asbuilt.identification.screen import format_effect
 from asbuilt.tables import format_share, round_significant
-from asbuilt.validation.comparison.parameter_text import describe_drive
+from asbuilt.validation.comparison.compared_parameter import describe_drive
 from asbuilt.writers.reports.cards import MOODS, make_study_cards
-from asbuilt.writers.reports.section import Report, Section, sections
+from asbuilt.writers.reports.report import Report, Section, sections
 
 ESTIMATION = """\
 {% if findings %}

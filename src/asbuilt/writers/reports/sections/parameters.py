@@ -7,7 +7,7 @@ from typing import Any
 
 from asbuilt.tables import format_deviation, format_percent, round_beside, round_with_error
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter
-from asbuilt.writers.reports.section import Report, Section, sections
+from asbuilt.writers.reports.report import Report, Section, sections
 
 TEMPLATE = """\
 <p>{{ verdict }}</p>

@@ -12,7 +12,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.tables import Column, Table, round_significant
 from asbuilt.validation import Rollout, Validation
 from asbuilt.writers.reports.page import table_markup
-from asbuilt.writers.reports.section import Report, Section, sections
+from asbuilt.writers.reports.report import Report, Section, sections
 from asbuilt.writers.tables.rollout_tables import tabulate_rollouts
 
 TORQUE = """\

@@ -17,9 +17,9 @@ from asbuilt.writers.reports.page import (
     paragraph_markup,
     table_markup,
 )
-from asbuilt.writers.reports.section import Report, Section, sections
-from asbuilt.writers.tables.mass_tables import exported_masses, feasible_table, mass_table
+from asbuilt.writers.reports.report import Report, Section, sections
 from asbuilt.writers.tables.payload_tables import tabulate_payload, tabulate_payload_torques
+from asbuilt.writers.tables.tabular import exported_masses, feasible_table, mass_table
 
 ROOM = 2.5
 """Length of the axis in the largest known value; a bar that goes on ends in an arrow."""

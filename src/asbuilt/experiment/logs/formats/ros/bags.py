@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import isolate
-from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
+from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable, isolate
 from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
 from asbuilt.experiment.logs.formats.ros.messages import (
     JOINT_STATE,
