@@ -209,6 +209,9 @@ def test_from_files_to_an_exported_model(
         page.click("assign")
         page.settle()
         assert list(page.folder.glob("*.sheet.toml"))
+        if case.reading == GAINS:
+            assert "Give --gain" in page.text("check-findings")
+            assert page.text("identify-refusal") == "Not yet: mend the errors of step 4 first."
         page.enter("reading", case.reading)
         page.settle()
     assert page.text("identify-refusal") == ""
