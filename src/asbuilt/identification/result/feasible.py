@@ -105,7 +105,7 @@ class FeasibleInterval:
         """The quantity with its interval, what was chosen in it, and what it is confounded with."""
         parts = [f"{self.quantity} {self.text}"]
         if self.chosen is not None:
-            parts.append(f"chosen {round_significant(self.chosen)}")
+            parts.append(_describe_chosen(self.chosen, self.least, self.greatest))
         if self.estimate is not None:
             parts.append(f"determined {format_plus_minus(self.estimate, self.std_error)}")
         else:
@@ -297,7 +297,8 @@ def bound_effects(
             least = max(least, 0.0)  # what is added has a mass
         chosen = effect.estimate if effect.effect in BODIES else interval.chosen or 0.0
         before = f"{format_plus_minus(effect.estimate, effect.std_error)} {effect.unit}"
-        size = f"{format_range(least, greatest, effect.unit)}, chosen {round_significant(chosen)}"
+        size = format_range(least, greatest, effect.unit)
+        size += f", {_describe_chosen(chosen, least, greatest)}"
         end = f": {effect.improvement}"
         found.append(
             replace(
@@ -385,6 +386,17 @@ def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion
         bound_with_certainty(cad),
         float(chdtri(1 if region == "each" else len(root), USUAL_ALPHA)),
     )
+
+
+def _describe_chosen(chosen: float, least: float, greatest: float) -> str:
+    """Return the value of the exported robot, and whether it lies beyond what the log allows.
+
+    A robot that was held near CAD, or made consistent, may leave the region of the estimate.
+    """
+    beyond = max(least - chosen, chosen - greatest)
+    # Ends are bounds of a solver: a hundredth of the value is no contradiction.
+    outside = " beyond it" if beyond > 0.01 * abs(chosen) else ""
+    return f"chosen {round_significant(chosen)}{outside}"
 
 
 def _find_chosen(result: IdentificationResult) -> Array | None:
