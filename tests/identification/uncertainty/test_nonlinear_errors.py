@@ -173,7 +173,9 @@ def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     grown = found[0].std_errors / found[1].std_errors
     assert found[0].base.names == found[1].base.names
     coulomb = [found[0].base.names.index(f"Fc{k}") for k in range(1, 5)]
-    assert np.all(grown > 1.0 - 1e-9)
+    # Bodies apart: what each fit may lack, and so the scatter of its blocks, is its own.
+    friction = [name.startswith("F") for name in found[0].base.names]
+    assert np.all(grown[friction] > 1.0 - 1e-9)
     assert np.all(grown[coulomb] > 1.3)
     free = [result.free for result in found]
     assert free[0] is not None

@@ -308,7 +308,8 @@ axes: its square is far above rounding."""
 
 def _take_root(gram: Array) -> Array:
     """Return a triangular R (q, q) with `R^T R` the normal equations."""
-    length = np.sqrt(np.diag(gram))
+    # Rounding of a column that nothing moves may be negative.
+    length = np.sqrt(np.maximum(np.diag(gram), 0.0))
     # A decomposition into axes takes ten times as long; it is for columns that are not independent.
     if np.all(length > 0.0):
         factor, problem = lapack.dpotrf(gram / np.outer(length, length), clean=1)
