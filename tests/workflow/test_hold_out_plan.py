@@ -123,8 +123,10 @@ def test_the_command_line_says_both_and_takes_none(log, tmp_path, capsys) -> Non
     names = ["t", "q_1", "q_2", "tau_1", "tau_2"]
     rows = np.column_stack([log.t, log.q, log.tau])
     np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="")
-    by_default = document(capsys, "identify", "two-link", path)
-    nothing = document(capsys, "identify", "two-link", path, "--holdout", "none")
+    # One kind of fit, and no effects: what is left out tests the choice of both.
+    asked = ("identify", "two-link", path, "--method", "consistent", "--effects", "none")
+    by_default = document(capsys, *asked)
+    nothing = document(capsys, *asked, "--holdout", "none")
     said = {each["code"]: each["message"] for each in by_default["warnings"]}
     assert "final fit to everything" in said["final_fit"]
     assert by_default["parameters"] == nothing["parameters"]
