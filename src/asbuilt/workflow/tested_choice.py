@@ -10,7 +10,6 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification import FoundEffect, SquareRootInformation, accumulate_stream
 from asbuilt.identification.effects.effect_findings import list_term_places
-from asbuilt.identification.estimators.held_out_choice import surely_better
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.result.torque_prediction import set_link_parameters
@@ -20,9 +19,6 @@ from asbuilt.workflow.prepare import Prepared
 
 FEWEST_BLOCKS = 3
 """Time blocks left out below which differences have no usable standard error."""
-WORTH = 0.03
-"""Share of the torque error that physically inconsistent values must take away: less is not worth a
-robot that no simulator takes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,24 +62,19 @@ class LeftOut:
         return cls(fit, seen, measure_block_errors(seen, fit.estimate.beta))
 
     def find_better_kind(self) -> str:
-        """Return the kind of fit that predicts what was left out surely better; empty: none.
+        """Return the kind of consistent fit that predicts what was left out surely better, or "".
 
-        Physically inconsistent values must be better beyond what `surely_better` asks, and by
-        `WORTH`.
+        Bodies are consistent: values that are not show what else the model lacks by predicting
+        better, and no simulator takes them.
         """
         tried = [
-            (measure_block_errors(self.seen, rival.beta), rival)
+            (measure_block_errors(self.seen, rival.beta), rival.kind)
             for rival in self.fit.estimate.rivals
+            if rival.consistent
         ]
-        for errors, rival in sorted(tried, key=lambda pair: float(pair[0].sum())):
-            if rival.consistent:
-                better = exceeds(self.errors - errors, 1.0)
-            else:
-                better = errors.sum() < (1.0 - WORTH) ** 2 * self.errors.sum() and exceeds(
-                    self.errors - errors, surely_better(len(errors))
-                )
-            if better:
-                return rival.kind
+        for errors, kind in sorted(tried, key=lambda pair: float(pair[0].sum())):
+            if exceeds(self.errors - errors, 1.0):
+                return kind
         return ""
 
     def list_harmful(self, found: Iterable[FoundEffect]) -> set[tuple[str, str]]:
