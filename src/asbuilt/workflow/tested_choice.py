@@ -68,9 +68,8 @@ class LeftOut:
         better, and no simulator takes them.
         """
         tried = [
-            (measure_block_errors(self.seen, rival.beta), rival.kind)
-            for rival in self.fit.estimate.rivals
-            if rival.consistent
+            (measure_block_errors(self.seen, beta), kind)
+            for kind, beta in self.fit.estimate.rivals.items()
         ]
         for errors, kind in sorted(tried, key=lambda pair: float(pair[0].sum())):
             if exceeds(self.errors - errors, 1.0):

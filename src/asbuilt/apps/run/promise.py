@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 import asbuilt
 from asbuilt import IdentificationResult, RobotModel
@@ -122,18 +123,9 @@ def _group(speed: Array, squared: Array) -> tuple[Array, Array]:
     sums = np.add.reduceat(squared, [0, *ends[:-1]])
     counts = np.diff([0, *ends])
     # A standard error up: the slowest groups have few samples, and of large errors.
-    return speed[np.array(ends) - 1], _fall(sums * (1.0 + np.sqrt(2.0 / counts)), counts)
-
-
-def _fall(sums: Array, counts: Array) -> Array:
-    """Return the nearest means of groups that never rise from one to the next."""
-    blocks = list[list[float]]()
-    for total, count in zip(sums.tolist(), counts.tolist(), strict=True):
-        blocks.append([total, count, 1])
-        while len(blocks) > 1 and blocks[-2][0] * blocks[-1][1] < blocks[-1][0] * blocks[-2][1]:
-            last = blocks.pop()
-            blocks[-1] = [a + b for a, b in zip(blocks[-1], last, strict=True)]
-    return np.concatenate([np.full(int(size), total / count) for total, count, size in blocks])
+    means = sums / counts * (1.0 + np.sqrt(2.0 / counts))
+    falling = isotonic_regression(means, weights=counts, increasing=False)
+    return speed[np.array(ends) - 1], np.asarray(falling.x)
 
 
 def promise_error(

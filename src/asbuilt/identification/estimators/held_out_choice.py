@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.bodies.entropic_path import DESCENT
-from asbuilt.identification.information.estimate import Estimate, Rival
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.statistics import exceeds
@@ -146,15 +146,15 @@ class MotionChoice:
     note: str
 
     @property
-    def rivals(self) -> tuple[Rival, ...]:
-        """The candidates of least error on other motion of each kind that was not chosen."""
+    def rivals(self) -> dict[str, Array]:
+        """Parameters of the best candidate of each kind that was not chosen, if consistent."""
         totals = self.errors.mean(axis=1) + self.extrapolation
         best: dict[str, Candidate] = {}
         for c in np.argsort(totals, kind="stable").tolist():
             candidate = self.candidates[c]
             if candidate.kind != self.candidates[self.chosen].kind and candidate.beta.size:
                 best.setdefault(candidate.kind, candidate)
-        return tuple(Rival(kind, each.beta, each.certain) for kind, each in best.items())
+        return {kind: candidate.beta for kind, candidate in best.items() if candidate.certain}
 
     def sentence(self, candidate: int) -> str:
         """Return the error of a candidate as text, and what is expected beyond it, if anything."""
@@ -245,7 +245,7 @@ def choose_candidate(
     if consistent:
         best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))]
     for c in open_to:
-        if c not in consistent and exceeds(totals[best] - totals[c], surely_better(len(parts))):
+        if c not in consistent and exceeds(totals[best] - totals[c], _surely_better(len(parts))):
             best = c
     chosen = next(
         c
@@ -267,7 +267,7 @@ def choose_candidate(
     )
 
 
-def surely_better(n: int) -> float:
+def _surely_better(n: int) -> float:
     """Return how many standard errors of n paired differences inconsistent values need.
 
     Student's quantile of 5 %: of few differences one standard error is little.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -25,25 +25,6 @@ Refit = Callable[[Array], Array]
 
 SMALLEST_NOISE = 1e-9
 """Least noise of a joint in the largest torque RMS; simulations have none."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rival:
-    """Hold what another kind of fit gives, from among which an estimate was chosen.
-
-    Parameters
-    ----------
-    kind
-        Its kind, which `EstimationData.kind` asks for.
-    beta
-        Its base parameters (p,), to a small part of their standard errors.
-    consistent
-        Whether they agree with what is certain, such as that masses are positive.
-    """
-
-    kind: str
-    beta: Array
-    consistent: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +61,8 @@ class Estimate:
         Gives beta for the triangular factor of other rows with equal weights, all choices fixed;
         None if beta is linear in the torque.
     rivals
-        Fits of other kinds that were not chosen, if the estimator chooses among some.
+        Base parameters (p,) of consistent fits of other kinds, by the kind that
+        `EstimationData.kind` asks for, if the estimator chooses among some.
     """
 
     method: str
@@ -98,7 +80,7 @@ class Estimate:
     findings: tuple[Finding, ...] = ()
     dropped: Mask | None = None
     refit: Refit | None = None
-    rivals: tuple[Rival, ...] = ()
+    rivals: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def rank(self) -> int:
