@@ -14,7 +14,13 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.errors import RecordingError
-from asbuilt.experiment import RecordingSheet, check_recording, propose_sheet, read_recording
+from asbuilt.experiment import (
+    ReadingOptions,
+    RecordingSheet,
+    check_recording,
+    propose_sheet,
+    read_recording,
+)
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.untrusted import parse_toml
 from command_line import call
@@ -92,6 +98,19 @@ def read_proposed(model: RobotModel, path: Path) -> Any:
     sheet = RecordingSheet.model_validate(parse_toml(proposal.text))
     recording = read_recording(path, model=model, sheet=sheet)
     return recording, check_recording(model, recording), proposal
+
+
+def test_a_stated_rate_wins_over_one_guessed_from_columns_without_names(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    path = tmp_path / "log.csv"
+    table = np.hstack([clean["q"], clean["qd"], clean["tau"]])
+    np.savetxt(path, table, delimiter=",")
+    # A clock of 1 % less than velocities say: columns are kept all the same.
+    proposal = propose_sheet(model, [path], ReadingOptions(rate=0.99 * RATE))
+    assert proposal.problem is None
+    assert proposal.content["rate"] == 0.99 * RATE
+    assert proposal.content["columns"]["torque"] == [7, 8, 9]
 
 
 def test_rows_of_another_topic_are_left_out(

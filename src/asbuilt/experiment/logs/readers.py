@@ -321,7 +321,7 @@ def find_table_layout(
     """
     if not table.named and sheet.columns.position is None:
         count = len(table.order or table.columns)
-        content, others = draft_sheet(table, model, options.rate)
+        content, others = draft_sheet(table, model, options.rate or sheet.rate)
         draft = format_draft(content, others)
         raise RecordingError(
             f"{table.source} has {count} columns without a header row",
@@ -342,7 +342,7 @@ def find_table_layout(
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
         if "absent" in problem.fields and table.n_samples:
-            content, others = draft_sheet(table, model, options.rate)
+            content, others = draft_sheet(table, model, options.rate or sheet.rate)
             if "columns" in content:
                 draft = format_draft(content, others)
                 problem.cure = Cure(
