@@ -20,7 +20,7 @@ from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearPlace, fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, FoundEffect
 from asbuilt.identification.effects.families.drive_terms import with_terms
-from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
+from asbuilt.identification.effects.gathering import At, Candidate, gather_rows
 from asbuilt.identification.effects.selection import Lacking, Selection
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.estimators.auto import design_effect, prior_information
@@ -111,7 +111,7 @@ def find_effects(
 ) -> Effects:
     """Find the effects that a description lacks, and add them to its model.
 
-    Each pass over the samples gives the normal equations of the model and of all effects, about a
+    Each pass over the samples gives the rows of the model and of all effects, about a
     physically consistent fit; a selection takes effects one at a time (`Selection`). A base tilt is
     put into gravity, and everything is asked again.
 
@@ -417,14 +417,12 @@ class _Search:
             )
         effect = design_effect(seen, fit)
         robot = _describe_robot(model, base, fit.standard, samples)
-        equations, candidates = gather_equations(
-            robot, samples, self.wanted, self.seconds, self.kept
-        )
+        rows, candidates = gather_rows(robot, samples, self.wanted, self.seconds, self.kept)
         # CAD counts once per independent sample, as the data do.
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
-        selection = Selection(equations, candidates, robot, cad, fit.weights, groups, self.applied)
+        selection = Selection(rows, candidates, robot, cad, fit.weights, groups, self.applied)
         # Columns of what is taken out stay free: they take what the linearisation left.
         selection.taken = [selection.candidate(trial.candidate.at) for trial in removed]
         selection.impossible, selection.held = self.impossible, self.held

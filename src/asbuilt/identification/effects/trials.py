@@ -10,10 +10,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc, fdtrc
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate
-from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.equations import MODEL, BlockRows, Squares
 from asbuilt.identification.statistics import estimate_mean_error
 
 
@@ -144,13 +144,40 @@ class Trial:
 class _Fit:
     """Hold a fit without some columns c: parameters, and how a unit of each column moves them.
 
-    `residual` (P + 1,) are the coefficients of the residual, `moves` (P + 1, c) its change.
+    `residual` (P + 1,) are the coefficients of the residual; `moves` (a, c) is its change at the
+    places `at` (a,), zero at all others.
     """
 
     residual: Array
+    at: Indices
     moves: Array
     schur: Array
     score: Array
+
+    def moved(self, c: Indices, d: Array, n: int) -> Array:
+        """Return the first n coefficients of the residual when the columns c have the values d."""
+        found = self.residual[:n].copy()
+        first = np.searchsorted(self.at, n)
+        found[self.at[:first]] += self.moves[:first, c] @ d
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Errors:
+    """Hold residuals of rows (B, n, m) of some blocks, and their change (B, n, m, c) by columns."""
+
+    residual: Array
+    moves: Array
+
+    def squares(self, c: Indices, d: Array) -> Array:
+        """Return the squared error (n,) of each joint when the columns c have the values d."""
+        error = self.residual + self.moves[..., c] @ d
+        return np.asarray(np.einsum("bnm,bnm->n", error, error))
+
+    def scores(self, c: Indices, d: Array) -> Array:
+        """Return the scores (B, c) of each block's columns with these values."""
+        own = self.moves[..., c]
+        return -np.einsum("bnmc,bnm->bc", own, self.residual + own @ d)
 
 
 class Trials:
@@ -162,43 +189,29 @@ class Trials:
 
     def __init__(
         self,
-        equations: Equations,
+        rows: BlockRows,
         candidates: Sequence[Candidate],
         prior: Prior,
         weights: Array,
         groups: Sequence[Indices],
     ) -> None:
-        """Take equations, candidates, prior, weights of the joints (n,), and groups of blocks."""
-        self.equations, self.candidates = equations, candidates
+        """Take rows, candidates, prior, weights of the joints (n,), and groups of blocks."""
+        self.rows, self.candidates = rows, candidates
         self.prior, self.weights = prior, weights
-        self.n_base = equations.groups[MODEL]
+        self.n_base = rows.groups[MODEL]
+        self._groups = groups
         # A fit is the coefficients (-values, 1) of its residual: every square is a form in this
         # matrix.
-        self._total = equations.stacked(weights)
-        length = np.diag(self._total)
+        self._total = rows.squares(weights)
+        length = self._total.diagonal
         self._size = np.sqrt(length)
         self._acts = length > RULES.acting * _find_largest(candidates, length)
         # The training equations are the total less the group's: leaving out costs no pass.
-        self._without = [self._total - equations.stacked(weights, group) for group in groups]
-        self._of_joints = [
-            [
-                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
-                for support, gram in zip(equations.support, equations.grams, strict=True)
-            ]
-            for group in groups
-        ]
-        self._torque = np.array(
-            [[gram[-1, -1] for _, gram in joints] for joints in self._of_joints]
-        )
+        self._without = [self._total.less(rows.squares(weights, group)) for group in groups]
+        self._torque = np.array([_sum_torques(rows, group) for group in groups])
         """Squared torque of each held-out group and joint."""
-        every = np.arange(equations.n_columns + 1)
-        blocks = range(equations.n_blocks)
-        self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
-        self._place = np.full((equations.n_joints, equations.n_columns), -1)
-        for place, support in zip(self._place, equations.support, strict=True):
-            place[support] = np.arange(len(support))
-        self._n_samples = max(int(equations.lengths.sum()), 1)
-        rms = np.sqrt(np.array([gram[-1, -1] for gram in equations.of_joints]) / self._n_samples)
+        self._n_samples = max(rows.n_samples, 1)
+        rms = np.sqrt(_sum_torques(rows) / self._n_samples)
         # A joint without torque would divide by zero; below rounding of the others it has none.
         tiny = np.finfo(np.float64).tiny
         least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
@@ -207,17 +220,23 @@ class Trials:
         self.taken: list[Candidate] = []
 
     @cached_property
+    def _halves(self) -> tuple[Squares, Squares]:
+        """Squares of either half of the blocks."""
+        first = np.array_split(np.arange(self.rows.n_blocks), 2)[0]
+        half = self.rows.squares(self.weights, first)
+        return half, self._total.less(half)
+
+    @cached_property
     def _apart(self) -> Array:
         """Squared part of each column outside the model's own, in its length, (P,)."""
-        gram = self._total[:-1, :-1]
         model = self._list_inside(())
+        every = np.arange(self.rows.n_columns)
         # Unit columns, so that the tolerance is a share.
-        size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
-        scaled = gram / np.outer(size, size)
-        inverse = np.linalg.pinv(scaled[np.ix_(model, model)], rcond=RULES.separate, hermitian=True)
-        across = scaled[model]
+        size = np.sqrt(np.maximum(self._total.diagonal[:-1], np.finfo(np.float64).tiny))
+        across = self._total.at(model, every) / np.outer(size[model], size)
+        inverse = np.linalg.pinv(across[:, model], rcond=RULES.separate, hermitian=True)
         # Schur complement of a unit column: 1 - g^T G^+ g.
-        return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
+        return np.asarray(1.0 - np.einsum("ij,ij->j", across, inverse @ across))
 
     def _is_shown(self, candidate: Candidate, least: float = RULES.shown) -> bool:
         """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
@@ -273,10 +292,8 @@ class Trials:
         places = np.concatenate([candidate.places for candidate in candidates])
         whole = self._fit(self._total, self._list_inside(others), places)
         d = np.asarray(np.linalg.solve(whole.schur, whole.score))
-        both = np.column_stack([whole.residual, whole.moves])
         # Scores of a block are its columns times its residual; they sum to zero at the fit.
-        blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
-        left = np.array([-block[:, 0] - block[:, 1:] @ d for block in blocks])
+        left = self._errors(whole, self.weights).scores(np.arange(len(d)), d)
         return d, _estimate_scatter(whole.schur, left, d)[0]
 
     def values_by_data(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
@@ -298,13 +315,10 @@ class Trials:
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
         x = self.values_of([candidate])[0]
-        blocks = np.arange(self.equations.n_blocks)
         found = []
-        for half in np.array_split(blocks, 2):
-            gram = self.equations.stacked(self.weights, half)
-            fit = self._fit(gram, inside, candidate.places)
+        for half in self._halves:
+            fit = self._fit(half, inside, candidate.places)
             found.append(float(2.0 * fit.score @ x - x @ fit.schur @ x))
-            self._factored.pop((id(gram), inside.tobytes()))
         return found
 
     def smallest_seen(self, candidate: Candidate) -> float:
@@ -318,7 +332,7 @@ class Trials:
         fit = self._fit(self._total, self._list_inside(self.taken), acting.places)
         n = int(np.sum(self.weights > 0.0))
         # A fall of `named` in the mean of n logarithms is n times that at the one joint it acts at.
-        of_joint = float(fit.residual @ self._total @ fit.residual) / n
+        of_joint = self._measure_error(fit.residual) / n
         felt = of_joint * np.expm1(n * RULES.named)
         # A value x lowers the cost by S x^2, S the Schur complement: what of the two needs more.
         return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
@@ -329,13 +343,12 @@ class Trials:
 
     def _measure_torques(self, candidate: Candidate, values: Array) -> Array:
         """Return the RMS torque (n,) of a candidate with these values."""
-        energy = np.zeros(self.equations.n_joints)
-        for k, gram in enumerate(self.equations.of_joints):
-            columns = self._place[k, candidate.places]
-            at = columns[columns >= 0]
-            x = values[columns >= 0]
-            energy[k] = x @ gram[np.ix_(at, at)] @ x
-        return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
+        energy = np.zeros(self.rows.n_joints)
+        acting = self.rows.places[:, candidate.places] >= 0
+        for k in np.flatnonzero(acting.any(axis=1)):
+            torque = self.rows.product(k, candidate.places, values)
+            energy[k] = np.einsum("bm,bm->", torque, torque)
+        return np.sqrt(energy / self._n_samples)
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
         """Try each candidate alone with what is taken; what it replaces is left out then.
@@ -350,7 +363,7 @@ class Trials:
         self._factored.clear()
         before = self._list_inside(self.taken)
         x = self._fit(self._total, before).residual
-        start = self._leave_out(before), float(x @ self._total @ x), self._measure_distance(x)
+        start = self._leave_out(before), self._measure_error(x), self._measure_distance(x)
         return [trial for alike in groups.values() for trial in self._try_candidates(alike, start)]
 
     def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
@@ -360,34 +373,38 @@ class Trials:
         )
         return np.concatenate([left, *(candidate.places for candidate in taken)]).astype(np.int64)
 
-    def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
+    def _fit(self, squares: Squares, inside: Indices, columns: Indices = NONE) -> _Fit:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
-        P = self.equations.n_columns
-        key = (id(gram), inside.tobytes())
+        torque = np.array([self.rows.n_columns])
+        key = (id(squares), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
-            factor = cho_factor(self._build_normal(gram, inside)[0])
-            b = gram[inside, -1].copy()
+            factor = cho_factor(self._build_normal(squares, inside)[0])
+            b = squares.at(inside, torque)[:, 0]
             model = np.flatnonzero(inside < self.n_base)
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
             self._factored[key] = factor, cho_solve(factor, b)
         factor, solution = self._factored[key]
-        residual = np.zeros(P + 1)
-        moves = np.zeros((P + 1, len(columns)))
         # tau - W x: minus the values, and one for the torque.
-        residual[inside], residual[-1] = -solution, 1.0
-        moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
+        residual = np.zeros(self.rows.n_columns + 1)
+        residual[inside] = -solution
+        residual[-1] = 1.0
+        at = np.union1d(inside, columns)
+        moves = np.zeros((len(at), len(columns)))
+        moves[np.searchsorted(at, inside)] = cho_solve(factor, squares.at(inside, columns))
         # Moves end with the column itself: what of it the parameters inside do not follow.
-        moves[columns, np.arange(len(columns))] -= 1.0
+        moves[np.searchsorted(at, columns), np.arange(len(columns))] -= 1.0
         # Schur complement and score of the columns given the parameters inside.
-        return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
+        across = squares.at(columns, at)
+        score = squares.at(columns, torque)[:, 0] + across @ residual[at]
+        return _Fit(residual, at, moves, -across @ moves, score)
 
-    def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
+    def _build_normal(self, squares: Squares, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
         model = np.flatnonzero(inside < self.n_base)
         prior = np.zeros((len(inside),) * 2)
         prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
-        A = gram[np.ix_(inside, inside)] + prior
+        A = squares.at(inside, inside) + prior
         # On the diagonal relative to it, so that units do not matter; prior-free columns stay
         # regular.
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
@@ -395,9 +412,40 @@ class Trials:
 
     def _leave_out(self, inside: Indices) -> Array:
         """Return the squared error of each joint on each held-out group (groups, n)."""
-        fits = [self._fit(without, inside) for without in self._without]
-        both = zip(fits, self._of_joints, strict=True)
-        return np.array([_expand_squares(fit, joints)[0] for fit, joints in both])
+        both = zip(self._without, self._groups, strict=True)
+        ones = np.ones(self.rows.n_joints)
+        return np.array(
+            [
+                self._errors(self._fit(without, inside), ones, group).squares(NONE, np.zeros(0))
+                for without, group in both
+            ]
+        )
+
+    def _errors(self, fit: _Fit, weights: Array, blocks: Indices | None = None) -> _Errors:
+        """Return the errors of a fit, joint k times `weights[k]`, on all blocks or some."""
+        n_blocks = self.rows.n_blocks if blocks is None else len(blocks)
+        longest = max(rows.shape[1] for rows in self.rows.rows)
+        residual = np.zeros((n_blocks, self.rows.n_joints, longest))
+        moves = np.zeros((*residual.shape, fit.moves.shape[1]))
+        every = zip(self.rows.rows, self.rows.places, weights, strict=True)
+        for k, (rows, places, weight) in enumerate(every):
+            own = rows if blocks is None else rows[blocks]
+            torque = np.flatnonzero(fit.residual)
+            there = torque[places[torque] >= 0]
+            residual[:, k, : own.shape[1]] = weight * (
+                own[..., places[there]] @ fit.residual[there]
+            )
+            kept = np.flatnonzero(places[fit.at] >= 0)
+            if fit.moves.shape[1]:
+                part = own[..., places[fit.at[kept]]]
+                moves[:, k, : own.shape[1]] = weight * (part @ fit.moves[kept])
+        return _Errors(residual, moves)
+
+    def _measure_error(self, residual: Array) -> float:
+        """Return the weighted squared error of a residual with these coefficients (P + 1,)."""
+        there = np.flatnonzero(residual)
+        x = residual[there]
+        return float(x @ self._total.at(there, there) @ x)
 
     def _measure_distance(self, residual: Array) -> float:
         # The residual holds minus the values.
@@ -418,14 +466,12 @@ class Trials:
             return []
         columns = np.unique(np.concatenate([candidate.places for candidate, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
-        # All other parameters are zero, and stay so.
-        moving = np.zeros(self.equations.n_columns + 1, dtype=np.bool_)
-        moving[inside], moving[columns], moving[-1] = True, True, True
-        _, scores, slopes = _expand_squares(whole, self._blocks, moving)
+        errors = self._errors(whole, self.weights)
+        ones = np.ones(self.rows.n_joints)
         held_out = [
-            (fit, _expand_squares(fit, joints, moving))
+            (fit, self._errors(fit, ones, group))
             # One fit a group, shared by all its joints.
-            for without, joints in zip(self._without, self._of_joints, strict=True)
+            for without, group in zip(self._without, self._groups, strict=True)
             # Exact torques of a simulation leave squares of 0, of which the ratio would be
             # undefined.
             for fit in (self._fit(without, inside, columns),)
@@ -437,22 +483,21 @@ class Trials:
             schur = whole.schur[np.ix_(c, c)]
             d: Array = np.asarray(np.linalg.solve(schur, whole.score[c]), dtype=np.float64)
             # Scores of the blocks at the fit with the candidate: their scatter is its covariance.
-            left = -scores[:, c] - slopes[:, c][:, :, c] @ d
-            covariance, p_value = _estimate_scatter(schur, left, d)
+            covariance, p_value = _estimate_scatter(schur, errors.scores(c, d), d)
             felt = float(np.max(self._measure_torques(candidate, d) / self._rms))
             if len(candidate.replaces):
                 # That a term in place of another one is zero is no question: its gain is one. And
                 # nearly all of its torque is the torque of what it replaces.
                 p_value = float(chdtrc(max(len(c) - len(candidate.replaces), 0) + 1, 2.0 * gain))
                 fall = 2.0 * self.prior.effect * max(gain, 0.0)
-                felt = float(np.sqrt(fall / self._total[-1, -1]))
+                felt = float(np.sqrt(fall / self._total.diagonal[-1]))
             size = self._size[candidate.places]
             held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
             ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
             # Joints without weight are not in the fit, so that they say nothing about it.
             relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
             # Half squares of independent standard errors, the unit of the gain.
-            distance = self._measure_distance(whole.residual + whole.moves[:, c] @ d)
+            distance = self._measure_distance(whole.moved(c, d, self.n_base))
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             trials.append(Trial(candidate, d, covariance, p_value, relief, gain, nearer, felt))
         return trials
@@ -472,7 +517,7 @@ class Trials:
         fit = self._fit(self._total, inside, columns)
         x = fit.residual
         # What is lost without the parameters replaced, before the new columns win it back.
-        lost = float(x @ self._total @ x) + self._measure_distance(x) - cost
+        lost = self._measure_error(x) + self._measure_distance(x) - cost
         gaining = []
         for candidate in acting:
             c = np.searchsorted(columns, candidate.places)
@@ -527,35 +572,15 @@ def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _expand_squares(
-    fit: _Fit, grams: Sequence[tuple[Indices, Array]], moving: Mask | None = None
-) -> tuple[Array, Array, Array]:
-    """Return `|r + M d|^2` in d for Gram matrices at some places: value, slope and curvature.
-
-    For a change d of the columns it is `value + 2 slope @ d + d @ curvature @ d`, shapes (g,),
-    (g, c) and (g, c, c). Parameters that are not `moving`, whose coefficients are zero, are passed
-    over.
-    """
-    squares = []
-    for places, gram in grams:
-        kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
-        # Rows of zero coefficients are most of a block, and cost nothing when passed over.
-        at = places[kept]
-        part = gram[np.ix_(kept, kept)]
-        r = fit.residual[at]
-        M = fit.moves[at]
-        felt = M.T @ part
-        squares.append((r @ part @ r, felt @ r, felt @ M))
-    value, slope, curvature = map(np.array, zip(*squares, strict=True))
-    return value, slope, curvature
+def _sum_torques(rows: BlockRows, blocks: Indices | None = None) -> Array:
+    """Return the squared torque of each joint (n,) in all blocks or some."""
+    torques = [own[..., -1] if blocks is None else own[blocks, :, -1] for own in rows.rows]
+    return np.array([np.einsum("bm,bm->", torque, torque) for torque in torques])
 
 
-def _score_left_out(
-    fit: _Fit, squares: tuple[Array, Array, Array], c: Indices, size: Array
-) -> Array:
+def _score_left_out(fit: _Fit, errors: _Errors, c: Indices, size: Array) -> Array:
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
-    value, slope, curvature = squares
     schur = fit.schur[np.ix_(c, c)]
     # The value refits with the training equations: the held-out group only judges it.
     d = np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c])
-    return np.asarray(value + 2.0 * slope[:, c] @ d + curvature[:, c][:, :, c] @ d @ d)
+    return errors.squares(c, d)
