@@ -67,7 +67,8 @@ class Parametrisation(ABC):
     ) -> tuple[int, int | None]:
         """Return size and periods that suit these limits, where the user asks for no size."""
         useful = RICHNESS.frequency if bounds is None else useful_frequency(bounds)
-        (least, most), wave = RICHNESS.points, RICHNESS.points_per_wave
+        least, most = RICHNESS.points
+        wave = RICHNESS.points_per_wave
         slow = max(least, round(wave * RICHNESS.frequency * duration) + 1)
         quick = min(round(cls.density * (most - 1)), round(cls.density * wave * useful * duration))
         return max(slow, quick + 1), periods
