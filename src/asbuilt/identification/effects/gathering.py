@@ -22,7 +22,7 @@ from asbuilt.identification.information.rows import (
     TimeBlock,
     divide_into_blocks,
 )
-from asbuilt.identification.information.triangular import reduce_columns
+from asbuilt.identification.information.triangular import shorten_rows, stack_blocks
 
 EFFECTS = "effects"
 """Group of the columns of all candidates."""
@@ -108,28 +108,15 @@ def gather_rows(
             rows = part.rows(plan, partial(columns, part))
             # Slots that a joint does not have hold zeros, and go before the blocks are kept.
             own = (rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True))
-            found.append([_shorten(each) for each in own])
+            found.append([shorten_rows(each.T) for each in own])
             times.append(part.time)
     gathered = BlockRows(
         {MODEL: base.n_base, EFFECTS: size - base.n_base},
         tuple(s[s >= 0] for s in support),
-        tuple(map(_stand_in_blocks, zip(*found, strict=True))),
+        tuple(map(stack_blocks, zip(*found, strict=True))),
         tuple(times),
     )
     return gathered, tuple(candidates)
-
-
-def _shorten(columns: Array) -> Array:
-    """Return columns (s, m) as rows (m, s), or their triangular factor if it has fewer."""
-    return reduce_columns(columns) if columns.shape[1] > len(columns) else columns.T
-
-
-def _stand_in_blocks(blocks: Sequence[Array]) -> Array:
-    """Return the rows (m, s) of blocks as one array (B, m, s), zeros below shorter ones."""
-    stood = np.zeros((len(blocks), max(map(len, blocks)), blocks[0].shape[1]))
-    for place, rows in zip(stood, blocks, strict=True):
-        place[: len(rows)] = rows
-    return stood
 
 
 def _place_candidates(
@@ -163,7 +150,8 @@ class _Columns:
     """
 
     def __init__(self, robot: Described, variants: Sequence[Variant]) -> None:
-        self._robot, self._variants = robot, variants
+        self._robot = robot
+        self._variants = variants
         self._samples: Samples | None = None
         self._start = self._stop = 0
 

@@ -196,8 +196,10 @@ class Trials:
         groups: Sequence[Indices],
     ) -> None:
         """Take rows, candidates, prior, weights of the joints (n,), and groups of blocks."""
-        self.rows, self.candidates = rows, candidates
-        self.prior, self.weights = prior, weights
+        self.rows = rows
+        self.candidates = candidates
+        self.prior = prior
+        self.weights = weights
         self.n_base = rows.groups[MODEL]
         self._groups = groups
         # A fit is the coefficients (-values, 1) of its residual: every square is a form in this

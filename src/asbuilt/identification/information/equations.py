@@ -122,7 +122,7 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class BlockRows:
-    """Hold the rows `[A_k | y_k]` of every joint k and time block b, or fewer with the same squares.
+    """Hold the rows `[A_k | y_k]` of every joint k and time block b, or fewer of equal squares.
 
     Columns and groups are those of `Equations`. `rows[k]` has shape (B, m, s_k + 1), the torque
     last: the samples of a block, or their triangular factor where these are more than the columns;

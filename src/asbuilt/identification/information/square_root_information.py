@@ -32,7 +32,8 @@ from asbuilt.identification.information.rows import (
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
-    reduce_columns,
+    shorten_rows,
+    stack_blocks,
     triangular_factor,
 )
 
@@ -42,13 +43,14 @@ MOST_BLOCKS = 128
 
 @dataclass(frozen=True, eq=False)
 class SquareRootInformation:
-    """Hold the triangular factors R of `[W_k | tau_k]` for every joint k and time block b.
+    """Hold factors R of `[W_k | tau_k]` for every joint k and time block b.
 
     `R^T R = [W_k | tau_k]^T [W_k | tau_k]`. Joint k depends only on the base parameters
     `support[k]` (p_k positions among the p of `base`): links it carries and its own drive.
-    `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper triangular; `torque_sum` (n_blocks,
-    n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2 = sum_b |R_b (-beta, 1)|^2`, so every
-    quadratic fit, its errors and its validation need nothing else.
+    `factors[k]` has shape (n_blocks, m, p_k + 1): the rows of a block themselves, or their upper
+    triangular factor where this has fewer, zeros below; so m is at most p_k + 1. `torque_sum`
+    (n_blocks, n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2` is the sum over blocks of
+    `|R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing else.
 
     Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is
     built block by block (Golub & Van Loan, Matrix Computations, 2013, section 5.2; Demmel et al.,
@@ -65,7 +67,8 @@ class SquareRootInformation:
     def __post_init__(self) -> None:
         for support, factor in zip(self.support, self.factors, strict=True):
             q = len(support) + 1
-            if factor.shape != (len(self.blocks), q, q):
+            blocks, m, columns = factor.shape
+            if (blocks, columns) != (len(self.blocks), q) or m > q:
                 raise ResultError(
                     f"factors of a joint with {q - 1} columns and {len(self.blocks)} blocks have"
                     f" shape {factor.shape}"
@@ -106,9 +109,12 @@ class SquareRootInformation:
     @cached_property
     def joint_factors(self) -> tuple[Array, ...]:
         """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1)."""
-        return tuple(
-            triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors
-        )
+        return tuple(map(_reduce_blocks, self.factors))
+
+    @cached_property
+    def joint_grams(self) -> tuple[Array, ...]:
+        """Inner products of the columns and the torque of each joint, shape (p_k + 1, p_k + 1)."""
+        return tuple(factor.T @ factor for factor in self.joint_factors)
 
     @cached_property
     def has_torque(self) -> Mask:
@@ -187,7 +193,10 @@ class SquareRootInformation:
         parts = (self, *others)
         return replace(
             self,
-            factors=tuple(map(np.concatenate, zip(*(part.factors for part in parts), strict=True))),
+            factors=tuple(
+                stack_blocks([block for factors in own for block in factors])
+                for own in zip(*(part.factors for part in parts), strict=True)
+            ),
             torque_sum=np.concatenate([part.torque_sum for part in parts]),
             blocks=tuple(block for part in parts for block in part.blocks),
         )
@@ -217,6 +226,18 @@ class SquareRootInformation:
             self._known[known] = growing.factor()
             self._known[known].setflags(write=False)
         return self._known[known]
+
+    def summed(self, weights: Array) -> Array:
+        """Return the inner products (p + 1, p + 1) of all rows, of joint k times `weights[k]`^2.
+
+        They have half of the digits of the factor that `stacked` returns.
+        """
+        p = self.base.n_base
+        total = np.zeros((p + 1, p + 1))
+        for support, gram, weight in zip(self.support, self.joint_grams, weights, strict=True):
+            places = np.append(support, p)
+            total[np.ix_(places, places)] += weight**2 * gram
+        return total
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).
@@ -327,7 +348,8 @@ def reduce_rows(
     for block in blocks:
         gathered.seconds = max(gathered.seconds, block.seconds)
         torque_sum = np.array([rows[-1].sum() for rows in block.rows])
-        gathered.add(_Reduced(tuple(map(reduce_columns, block.rows)), torque_sum, block.time))
+        factors = tuple(shorten_rows(rows.T) for rows in block.rows)
+        gathered.add(_Reduced(factors, torque_sum, block.time))
     return gathered.information(base, joint_names, tuple(support))
 
 
@@ -359,7 +381,7 @@ def _reduce_block(
     for product in products:
         # Torque before further columns, the order that the products are read in.
         product[:] = np.concatenate([product[: -1 - m], product[-1:], product[-1 - m : -1]])
-    return _Reduced(tuple(each.factor() for each in growing), torque_sum, part.time, products)
+    return _Reduced(tuple(each.shortest() for each in growing), torque_sum, part.time, products)
 
 
 class _Gathering:
@@ -377,7 +399,8 @@ class _Gathering:
         if len(self.blocks) > 2 * MOST_BLOCKS:
             # Blocks of twice the length: all are added again, and each joins its neighbour.
             self.seconds *= 2.0
-            blocks, self.blocks = self.blocks, []
+            blocks = self.blocks
+            self.blocks = []
             for each in blocks:
                 self.add(each)
 
@@ -389,10 +412,19 @@ class _Gathering:
             base,
             joint_names,
             support,
-            tuple(map(np.array, zip(*(block.factors for block in self.blocks), strict=True))),
+            tuple(map(stack_blocks, zip(*(block.factors for block in self.blocks), strict=True))),
             np.array([block.torque_sum for block in self.blocks]),
             tuple(block.time for block in self.blocks),
         )
+
+
+def _reduce_blocks(factors: Array) -> Array:
+    """Return the triangular factor of all blocks (B, m, q) together."""
+    only = factors[0]
+    if len(factors) == 1 and only.shape[0] == only.shape[1] and not np.any(np.tril(only, -1)):
+        # Signs of the rows are arbitrary, as in any triangular factor.
+        return np.asarray(only * np.where(np.diag(only) < 0.0, -1.0, 1.0)[:, None])
+    return triangular_factor(factors.reshape(-1, factors.shape[-1]))
 
 
 def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
@@ -403,7 +435,7 @@ def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
 def _merge_blocks(earlier: _Reduced, later: _Reduced) -> _Reduced:
     pairs = zip(earlier.factors, later.factors, strict=True)
     return _Reduced(
-        tuple(triangular_factor(np.vstack(pair)) for pair in pairs),
+        tuple(shorten_rows(np.vstack(pair)) for pair in pairs),
         earlier.torque_sum + later.torque_sum,
         TimeBlock.spanning((earlier.time, later.time)),
     )
