@@ -142,23 +142,32 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Hold a fit without some columns c: parameters, and how a unit of each column moves them.
+    """Hold a fit without some columns (c,): parameters, and how a unit of each column moves them.
 
-    `residual` (P + 1,) are the coefficients of the residual; `moves` (a, c) is its change at the
-    places `at` (a,), zero at all others.
+    `residual` (P + 1,) are the coefficients of the residual: minus the values, and one for the
+    torque. A unit of a column changes it by `moves` (i, c) at the places `inside` (i,), and by
+    minus one at the column itself. `across` (c, i) are products of the columns with those inside,
+    `score` (c,) with the residual.
     """
 
+    squares: Squares
     residual: Array
-    at: Indices
+    inside: Indices
+    columns: Indices
     moves: Array
-    schur: Array
+    across: Array
     score: Array
 
+    def schur(self, c: Indices) -> Array:
+        """Return the Schur complement of some of the columns given the parameters inside."""
+        places = self.columns[c]
+        return self.squares.at(places, places) - self.across[c] @ self.moves[:, c]
+
     def moved(self, c: Indices, d: Array, n: int) -> Array:
-        """Return the first n coefficients of the residual when the columns c have the values d."""
+        """Return the first n coefficients of the residual when columns beyond n have values d."""
         found = self.residual[:n].copy()
-        first = np.searchsorted(self.at, n)
-        found[self.at[:first]] += self.moves[:first, c] @ d
+        model = self.inside < n
+        found[self.inside[model]] += self.moves[model][:, c] @ d
         return found
 
 
@@ -293,10 +302,12 @@ class Trials:
         ]
         places = np.concatenate([candidate.places for candidate in candidates])
         whole = self._fit(self._total, self._list_inside(others), places)
-        d = np.asarray(np.linalg.solve(whole.schur, whole.score))
+        every = np.arange(len(places))
+        schur = whole.schur(every)
+        d = np.asarray(np.linalg.solve(schur, whole.score))
         # Scores of a block are its columns times its residual; they sum to zero at the fit.
-        left = self._errors(whole, self.weights).scores(np.arange(len(d)), d)
-        return d, _estimate_scatter(whole.schur, left, d)[0]
+        left = self._errors(whole, self.weights).scores(every, d)
+        return d, _estimate_scatter(schur, left, d)[0]
 
     def values_by_data(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return what `values_of` does, of a fit that does not know CAD."""
@@ -320,7 +331,8 @@ class Trials:
         found = []
         for half in self._halves:
             fit = self._fit(half, inside, candidate.places)
-            found.append(float(2.0 * fit.score @ x - x @ fit.schur @ x))
+            schur = fit.schur(np.arange(len(x)))
+            found.append(float(2.0 * fit.score @ x - x @ schur @ x))
         return found
 
     def smallest_seen(self, candidate: Candidate) -> float:
@@ -337,7 +349,8 @@ class Trials:
         of_joint = self._measure_error(fit.residual) / n
         felt = of_joint * np.expm1(n * RULES.named)
         # A value x lowers the cost by S x^2, S the Schur complement: what of the two needs more.
-        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
+        schur = fit.schur(np.arange(1))[0, 0]
+        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / schur))
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
@@ -387,26 +400,23 @@ class Trials:
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
             self._factored[key] = factor, cho_solve(factor, b)
         factor, solution = self._factored[key]
-        # tau - W x: minus the values, and one for the torque.
         residual = np.zeros(self.rows.n_columns + 1)
         residual[inside] = -solution
         residual[-1] = 1.0
-        at = np.union1d(inside, columns)
-        moves = np.zeros((len(at), len(columns)))
-        moves[np.searchsorted(at, inside)] = cho_solve(factor, squares.at(inside, columns))
-        # Moves end with the column itself: what of it the parameters inside do not follow.
-        moves[np.searchsorted(at, columns), np.arange(len(columns))] -= 1.0
-        # Schur complement and score of the columns given the parameters inside.
-        across = squares.at(columns, at)
-        score = squares.at(columns, torque)[:, 0] + across @ residual[at]
-        return _Fit(residual, at, moves, -across @ moves, score)
+        across = squares.at(columns, inside)
+        score = squares.at(columns, torque)[:, 0] + across @ residual[inside]
+        moves = cho_solve(factor, across.T)
+        return _Fit(squares, residual, inside, columns, moves, across, score)
 
     def _build_normal(self, squares: Squares, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        model = np.flatnonzero(inside < self.n_base)
-        prior = np.zeros((len(inside),) * 2)
-        prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
-        A = squares.at(inside, inside) + prior
+        A = squares.at(inside, inside)
+        prior = np.zeros_like(A)
+        model = inside[inside < self.n_base]
+        # The model's come first.
+        of_model = (slice(len(model)),) * 2
+        prior[of_model] = self.prior.information[np.ix_(model, model)]
+        A[of_model] += prior[of_model]
         # On the diagonal relative to it, so that units do not matter; prior-free columns stay
         # regular.
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
@@ -428,19 +438,21 @@ class Trials:
         n_blocks = self.rows.n_blocks if blocks is None else len(blocks)
         longest = max(rows.shape[1] for rows in self.rows.rows)
         residual = np.zeros((n_blocks, self.rows.n_joints, longest))
-        moves = np.zeros((*residual.shape, fit.moves.shape[1]))
+        moves = np.zeros((*residual.shape, len(fit.columns)))
         every = zip(self.rows.rows, self.rows.places, weights, strict=True)
+        torque = np.flatnonzero(fit.residual)
         for k, (rows, places, weight) in enumerate(every):
             own = rows if blocks is None else rows[blocks]
-            torque = np.flatnonzero(fit.residual)
             there = torque[places[torque] >= 0]
             residual[:, k, : own.shape[1]] = weight * (
                 own[..., places[there]] @ fit.residual[there]
             )
-            kept = np.flatnonzero(places[fit.at] >= 0)
-            if fit.moves.shape[1]:
-                part = own[..., places[fit.at[kept]]]
-                moves[:, k, : own.shape[1]] = weight * (part @ fit.moves[kept])
+            if fit.columns.size:
+                kept = np.flatnonzero(places[fit.inside] >= 0)
+                move = own[..., places[fit.inside[kept]]] @ fit.moves[kept]
+                at = np.flatnonzero(places[fit.columns] >= 0)
+                move[..., at] -= own[..., places[fit.columns[at]]]
+                moves[:, k, : own.shape[1]] = weight * move
         return _Errors(residual, moves)
 
     def _measure_error(self, residual: Array) -> float:
@@ -482,7 +494,7 @@ class Trials:
         trials = []
         for candidate, gain in gaining:
             c = np.searchsorted(columns, candidate.places)
-            schur = whole.schur[np.ix_(c, c)]
+            schur = whole.schur(c)
             d: Array = np.asarray(np.linalg.solve(schur, whole.score[c]), dtype=np.float64)
             # Scores of the blocks at the fit with the candidate: their scatter is its covariance.
             covariance, p_value = _estimate_scatter(schur, errors.scores(c, d), d)
@@ -523,7 +535,7 @@ class Trials:
         gaining = []
         for candidate in acting:
             c = np.searchsorted(columns, candidate.places)
-            schur = fit.schur[np.ix_(c, c)]
+            schur = fit.schur(c)
             scale = self._size[candidate.places]
             # A column within the others up to rounding would have any value.
             if np.linalg.eigvalsh(schur / np.outer(scale, scale))[0] < RULES.separate:
@@ -582,7 +594,7 @@ def _sum_torques(rows: BlockRows, blocks: Indices | None = None) -> Array:
 
 def _score_left_out(fit: _Fit, errors: _Errors, c: Indices, size: Array) -> Array:
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
-    schur = fit.schur[np.ix_(c, c)]
+    schur = fit.schur(c)
     # The value refits with the training equations: the held-out group only judges it.
     d = np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c])
     return errors.squares(c, d)

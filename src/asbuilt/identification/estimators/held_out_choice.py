@@ -316,7 +316,7 @@ def group_different_motions(
     Blocks are alike if their information per sample is, in parameters scaled to equal torque
     (Ward's linkage; Ward, J. American Statistical Association 58, 1963).
     """
-    roots = (information.stacked(weights, b)[:, :-1] for b in range(information.n_blocks))
+    roots = (information.rows_of_block(b, weights)[:, :-1] for b in range(information.n_blocks))
     return group_motions(
         np.array([root.T @ root for root in roots]),
         np.array([block.n_samples for block in information.blocks]),

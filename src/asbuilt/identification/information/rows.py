@@ -19,6 +19,7 @@ from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.information.triangular import shorten_rows
 
 
 @dataclass(slots=True, eq=False)
@@ -360,7 +361,7 @@ class Rows:
         self._every = every
         self._held: list[RowBlock] | None = None
         self._parts: list[tuple[Array, ...]] | None = None
-        self._grams: list[tuple[Array, ...]] | None = None
+        self._roots: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
 
     def take_torque(self, samples: Sequence[Samples]) -> bool:
@@ -393,13 +394,16 @@ class Rows:
         """Whether the rows are held in memory, as they are after a first pass if they are few."""
         return self._held is not None
 
-    def grams(self) -> list[tuple[Array, ...]]:
-        """Return `W_k W_k^T` of every block and joint, which outlast another torque."""
-        if self._grams is None:
-            self._grams = [
-                tuple(rows[:-1] @ rows[:-1].T for rows in block) for block in self.by_block()
+    def roots(self) -> list[tuple[Array, ...]]:
+        """Return rows (m, p_k) with the squares of W_k, of every block and joint, few of them.
+
+        They outlast another torque.
+        """
+        if self._roots is None:
+            self._roots = [
+                tuple(shorten_rows(rows[:-1].T) for rows in block) for block in self.by_block()
             ]
-        return self._grams
+        return self._roots
 
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""

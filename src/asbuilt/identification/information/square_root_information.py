@@ -227,6 +227,17 @@ class SquareRootInformation:
             self._known[known].setflags(write=False)
         return self._known[known]
 
+    def rows_of_block(self, block: int, weights: Array) -> Array:
+        """Return all joints' rows of a block in all columns, (m, p + 1), k times `weights[k]`."""
+        p = self.base.n_base
+        own = [factors[block] for factors in self.factors]
+        rows = np.zeros((sum(map(len, own)), p + 1))
+        first = 0
+        for support, factor, weight in zip(self.support, own, weights, strict=True):
+            rows[first : first + len(factor), np.append(support, p)] = weight * factor
+            first += len(factor)
+        return rows
+
     def summed(self, weights: Array) -> Array:
         """Return the inner products (p + 1, p + 1) of all rows, of joint k times `weights[k]`^2.
 

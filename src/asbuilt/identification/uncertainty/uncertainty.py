@@ -217,15 +217,10 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
     """
     residual = np.append(-estimate.beta, 1.0)
     products = []
-    root = estimate.solution.inverse_root
-    joints = list(zip(information.support, information.factors, estimate.weights, strict=True))
     for b in range(information.n_blocks):
-        whitened = np.vstack(
-            [weight * factors[b, :, :-1] @ root[own] for own, factors, weight in joints]
-        )
-        errors = np.concatenate(
-            [weight * factors[b] @ np.append(residual[own], 1.0) for own, factors, weight in joints]
-        )
+        rows = information.rows_of_block(b, estimate.weights)
+        whitened = rows[:, :-1] @ estimate.solution.inverse_root
+        errors = rows @ residual
         products.append((whitened.T @ whitened, whitened.T @ errors))
     grams, scores = map(np.array, zip(*products, strict=True))
     return grams, scores
