@@ -140,7 +140,7 @@ def residual_deviation(
     Joints whose rows were mixed, since contact forces were projected away, have one noise.
     """
     roots = zip(information.support, information.joint_factors, weights, strict=True)
-    parts = [weight * factor[:-1, :-1] @ inverse_root[own] for own, factor, weight in roots]
+    parts = [weight * factor[:, :-1] @ inverse_root[own] for own, factor, weight in roots]
     # Traces of each joint's part of the hat matrix; their sum is the rank.
     spent = np.array([np.sum(part * part) for part in parts])
     return deviation_of(information, beta, spent)

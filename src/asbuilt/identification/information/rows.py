@@ -76,6 +76,12 @@ class RowRules:
     """Blocks of a short recording, so that standard errors can be estimated from them."""
     most_held: float = 25e6
     """Memory [bytes] of rows that are kept between passes; more are made again in every pass."""
+    usual_joints: int = 12
+    """Joints up to which that holds; rows of more joints take more memory and time to make."""
+
+    def room_for(self, n_joints: int) -> float:
+        """Return the memory [bytes] of rows that are kept of a robot."""
+        return self.most_held * max(1.0, n_joints / self.usual_joints)
 
 
 ROWS = RowRules()
@@ -103,7 +109,7 @@ class KeptRows:
     """Keep the filtered rows of samples, so that those who share it walk over a motion once.
 
     Rows depend on robot, drive terms and samples alone, neither on time blocks nor on what else is
-    asked of them. The latest are kept, as many as `ROWS.most_held` has room for.
+    asked of them. The latest are kept, as many as `ROWS.room_for` the robot holds.
     """
 
     def __init__(self) -> None:
@@ -117,7 +123,7 @@ class KeptRows:
         """
         # Eight bytes a number, torque included.
         size = 8.0 * samples.n_filtered * sum(len(own) + 1 for own in plan.support)
-        if samples.contact is not None or size > ROWS.most_held:
+        if samples.contact is not None or size > ROWS.room_for(plan.model.n_joints):
             return None
         with self._lock:  # blocks of one motion are asked for by several threads
             for entry in self._entries:
@@ -127,7 +133,8 @@ class KeptRows:
             rows = _evaluate_rows(plan, samples)
             self._entries.append((plan, samples, rows))
             # The oldest go first: passes ask for the latest motions again.
-            while sum(_count_bytes(each) for *_, each in self._entries) > ROWS.most_held:
+            most = ROWS.room_for(plan.model.n_joints)
+            while sum(_count_bytes(each) for *_, each in self._entries) > most:
                 del self._entries[0]
             return rows
 
@@ -424,6 +431,7 @@ class Rows:
             return
         kept = list[RowBlock]()
         size = 0
+        most = ROWS.room_for(self._plan.model.n_joints)
         for part in self._divide(self._samples):
             block = RowBlock(part.rows(self._plan), part.time, part.seconds)
             for rows, x in zip(block.rows, self._less, strict=False):
@@ -431,9 +439,9 @@ class Rows:
             size += sum(rows.nbytes for rows in block.rows)
             # Rows of a long recording are not kept, but made again in every pass.
             # Past the limit nothing is kept, not even the blocks before.
-            kept = [*kept, block] if size <= ROWS.most_held else []
+            kept = [*kept, block] if size <= most else []
             yield block
-        self._held = kept if size <= ROWS.most_held else None
+        self._held = kept if size <= most else None
 
 
 def _same_motion(one: Samples, other: Samples) -> bool:

@@ -34,7 +34,6 @@ from asbuilt.identification.information.triangular import (
     GrowingFactor,
     shorten_rows,
     stack_blocks,
-    triangular_factor,
 )
 
 MOST_BLOCKS = 128
@@ -108,7 +107,10 @@ class SquareRootInformation:
 
     @cached_property
     def joint_factors(self) -> tuple[Array, ...]:
-        """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1)."""
+        """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1).
+
+        Of fewer samples than columns it is their rows, (m, p_k + 1).
+        """
         return tuple(map(_reduce_blocks, self.factors))
 
     @cached_property
@@ -430,12 +432,12 @@ class _Gathering:
 
 
 def _reduce_blocks(factors: Array) -> Array:
-    """Return the triangular factor of all blocks (B, m, q) together."""
+    """Return the rows of all blocks (B, m, q) together, or their triangular factor if shorter."""
     only = factors[0]
     if len(factors) == 1 and only.shape[0] == only.shape[1] and not np.any(np.tril(only, -1)):
         # Signs of the rows are arbitrary, as in any triangular factor.
         return np.asarray(only * np.where(np.diag(only) < 0.0, -1.0, 1.0)[:, None])
-    return triangular_factor(factors.reshape(-1, factors.shape[-1]))
+    return shorten_rows(factors.reshape(-1, factors.shape[-1]))
 
 
 def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
