@@ -168,14 +168,7 @@ def _solve_weighted(
         x, root = solve_fast(information.stacked(weights), information.n_rows, toward)
         return x, residual_deviation(information, x, root, weights)
     x, root = found
-    covariance = root @ root.T
-    joints = zip(information.support, information.joint_grams, weights, strict=True)
-    # Each joint's trace of the hat matrix, as in `residual_deviation`.
-    spent = [
-        weight**2 * np.vdot(gram[:-1, :-1], covariance[np.ix_(own, own)])
-        for own, gram, weight in joints
-    ]
-    return x, deviation_of(information, x, np.array(spent))
+    return x, deviation_of(information, x, information.spent(weights, root @ root.T))
 
 
 def solve_squares(total: Array) -> tuple[Array, Array] | None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -247,10 +248,35 @@ class SquareRootInformation:
         """
         p = self.base.n_base
         total = np.zeros((p + 1, p + 1))
-        for support, gram, weight in zip(self.support, self.joint_grams, weights, strict=True):
-            places = np.append(support, p)
-            total[np.ix_(places, places)] += weight**2 * gram
+        for spans, gram, weight in zip(self._spans, self.joint_grams, weights, strict=True):
+            weighted = weight**2 * gram
+            for rows, own_rows in spans:
+                for columns, own_columns in spans:
+                    total[rows, columns] += weighted[own_rows, own_columns]
         return total
+
+    def spent(self, weights: Array, covariance: Array) -> Array:
+        """Return the trace of each joint's part of the hat matrix (n,), by squares.
+
+        `covariance` (p, p) is the inverse of the weighted normal equations.
+        """
+        p = self.base.n_base
+        # The torque's row and column are no part of it.
+        wide = np.zeros((p + 1, p + 1))
+        wide[:p, :p] = covariance
+        traces = np.zeros(self.n_joints)
+        for k, (spans, gram) in enumerate(zip(self._spans, self.joint_grams, strict=True)):
+            for rows, own_rows in spans:
+                for columns, own_columns in spans:
+                    part = np.einsum("ij,ij->", gram[own_rows, own_columns], wide[rows, columns])
+                    traces[k] += part
+        return np.asarray(weights**2 * traces)
+
+    @cached_property
+    def _spans(self) -> tuple[tuple[tuple[slice, slice], ...], ...]:
+        """Spans of neighbouring columns and torque of each joint, among all and among its own."""
+        p = self.base.n_base
+        return tuple(_find_spans(np.append(support, p)) for support in self.support)
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).
@@ -429,6 +455,15 @@ class _Gathering:
             np.array([block.torque_sum for block in self.blocks]),
             tuple(block.time for block in self.blocks),
         )
+
+
+def _find_spans(places: Indices) -> tuple[tuple[slice, slice], ...]:
+    """Return spans of consecutive places, and where each lies among them."""
+    edges = [0, *(np.flatnonzero(np.diff(places) != 1) + 1).tolist(), len(places)]
+    return tuple(
+        (slice(int(places[first]), int(places[first]) + last - first), slice(first, last))
+        for first, last in pairwise(edges)
+    )
 
 
 def _reduce_blocks(factors: Array) -> Array:
