@@ -261,6 +261,19 @@ class RobotModel:
         return classify_base(self.n_floating)
 
     @property
+    def driven_joints(self) -> range:
+        """Which joints have a drive, counted from 0: all but those of a base that can move."""
+        return range(self.n_floating, self.n_joints)
+
+    @property
+    def has_reactions(self) -> bool:
+        """Whether forces act that nobody measures, and which equations are projected away from.
+
+        Every row then has parts of all joints.
+        """
+        return bool(self.contacts)
+
+    @property
     def mixes_joints(self) -> bool:
         """Whether every equation has parts of all joints, as on a free base.
 

@@ -63,12 +63,12 @@ def _check_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | None
 def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
     """Return for each joint the positions in `columns` that can be non-zero in its row.
 
-    Links it carries, its own drive, motors it turns; all where contact forces are projected away,
-    which mixes the rows.
+    Links it carries, its own drive, motors it turns; all where reactions are projected away, which
+    mixes the rows.
     """
     chosen = _check_columns(model, drive, columns)
     n = model.n_joints
-    if model.contacts:
+    if model.has_reactions:
         return [np.arange(chosen.size)] * n
     moved_by = model.link_shares != 0.0
     carried = np.zeros((n, model.n_links), dtype=bool)
@@ -276,7 +276,7 @@ class RegressorPlan:
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
                 f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
-        if self.model.contacts:
+        if self.model.has_reactions:
             target[...] = 0.0  # every joint has all rows, and kernels write those that can be other
         self._write(inputs, target, NO_COLUMNS, threads)
         for _, rows_of_drive, columns in self._yield_drive_columns(*inputs):

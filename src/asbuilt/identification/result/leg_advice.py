@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def leg_advice(
     if not weak.size:
         return (), 0
     motions = list(leg_motions(result.model, standing_posture(samples)))
-    noise = samples[0].noise
+    logged = samples[0].reactions
     extras = (
         motion.share
         * sample_information(
@@ -74,8 +75,7 @@ def leg_advice(
             motion.q,
             motion.qd,
             motion.qdd,
-            motion.closed.astype(np.float64) if (samples[0].contact is not None) else None,
-            noise,
+            replace(logged, contact=motion.closed.astype(np.float64)) if logged else logged,
         )
         for motion in motions
     )

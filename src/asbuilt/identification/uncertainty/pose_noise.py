@@ -27,8 +27,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, find_base_parameters, observation_matrix
-from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.drives.torque import choose_usual_drive
+from asbuilt.dynamics.reactions import contact_basis
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares

@@ -10,8 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import observation_matrix
-from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.dynamics.reactions import contact_jacobians
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification import IdentificationResult
