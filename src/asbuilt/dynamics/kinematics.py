@@ -18,17 +18,10 @@ def _evaluate_link_poses(model: RobotModel, q: Array) -> Array:
     turning = np.array([joint.is_revolute for joint in model.joints])
     c = np.cos(q[:, turning])
     s = np.sin(q[:, turning])
-    (
-        motion[:, turning, 0, 0],
-        motion[:, turning, 0, 1],
-        motion[:, turning, 1, 0],
-        motion[:, turning, 1, 1],
-    ) = (
-        c,
-        -s,
-        s,
-        c,
-    )
+    motion[:, turning, 0, 0] = c
+    motion[:, turning, 0, 1] = -s
+    motion[:, turning, 1, 0] = s
+    motion[:, turning, 1, 1] = c
     motion[:, ~turning, 2, 3] = q[:, ~turning]
     poses: Array = (
         np.array([joint.before for joint in model.joints])
