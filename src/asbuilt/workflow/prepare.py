@@ -184,7 +184,7 @@ def prepare(
         rule = None if automatic else holdout
         late = settle_delays(model, own, digests, settled, rule, filters)
         settled = late.chain
-    # Equations at contacts are weighed by their noise, common to all recordings.
+    # Where reactions act equations are weighed by their noise, common to all recordings.
     whole = with_equation_noise(
         model, [_prepare_samples(item, settled, filters, late) for item in recordings]
     )

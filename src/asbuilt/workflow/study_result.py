@@ -23,7 +23,6 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.equations import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
-from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.identification.uncertainty.bias import (
     OmittedBias,
@@ -40,7 +39,6 @@ from asbuilt.validation.generalisation.coverage import (
 )
 from asbuilt.validation.generalisation.generalisation import (
     check_validations,
-    report_foot_moments,
     report_nameless,
     report_unexplained,
 )
@@ -170,9 +168,13 @@ def conclude_study(
         *_report_model(fits, result, attribution, options),
         *report_cad_verdicts(validations),
         *report_springs(result),
-        *leg_findings(result, fits.samples),
-        *report_foot_moments(result, fits.samples),
     )
+    if mixed:
+        from asbuilt.identification.result.legs import (  # noqa: PLC0415 - light start
+            with_leg_findings,
+        )
+
+        findings = with_leg_findings(findings, result, fits.samples)
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
     # What was validated decides which joint's error matters, training only without it.

@@ -196,7 +196,7 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     information = known_information(result)
     combinations = _find_combinations(result, information, determined)
     weak = weak_parameters(result)
-    # A base that floats does not take poses: `leg_advice` has the motions of legs.
+    # A base that floats does not take poses: `legs` has the motions of legs.
     advice = (
         _choose_advice(result, information, weak)
         if (motions and weak.size and not result.model.n_floating)

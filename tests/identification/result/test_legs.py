@@ -19,7 +19,7 @@ from asbuilt.identification.result.determination import (
     sample_information,
     weak_parameters,
 )
-from asbuilt.identification.result.leg_advice import standing_posture
+from asbuilt.identification.result.legs import standing_posture
 from asbuilt.workflow import prepare
 
 
