@@ -196,10 +196,10 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     information = known_information(result)
     combinations = _find_combinations(result, information, determined)
     weak = weak_parameters(result)
-    # A base that floats does not take poses: `legs` has the motions of legs.
+    # Where equations mix joints none moves alone: `legs` has the motions of legs.
     advice = (
         _choose_advice(result, information, weak)
-        if (motions and weak.size and not result.model.n_floating)
+        if (motions and weak.size and not result.model.mixes_joints)
         else ()
     )
     members = {key: tuple(names[mask].tolist()) for key, mask in classes.items()}
