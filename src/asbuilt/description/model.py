@@ -14,15 +14,13 @@ from asbuilt.arrays import Array, read_only
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
-    JointMap,
-    OneToOne,
-    TreeMotion,
     derive_coupling,
     order_tree,
     separate_followers,
     with_rotors,
 )
 from asbuilt.description.structure.free_base import BaseKind, classify_base, count_base_joints
+from asbuilt.description.structure.joint_map import JointMap, OneToOne, TreeMotion
 from asbuilt.description.structure.locking import (
     derive_locked_positions,
     find_assumed_carriers,

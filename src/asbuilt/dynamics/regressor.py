@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.couplings import JointMap
+from asbuilt.description.structure.joint_map import JointMap
 from asbuilt.dynamics.batches import flatten_array, run_over_samples, shape_joint_samples
 from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
@@ -282,7 +282,7 @@ class RegressorPlan:
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
         joint_map = self.model.joint_map
-        places = np.ascontiguousarray(self.places[:, joint_map.order])
+        places = joint_map.parameters(self.places)
         moved = joint_map.motion(*inputs)
         layout = build_layout(self.model.tree)
         moves = _find_moving_coordinates(self.model)

@@ -11,12 +11,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
-from asbuilt.description.structure.couplings import (
-    JointMap,
-    ShareDerivatives,
-    TreeMotion,
-    derive_linear_part,
-)
+from asbuilt.description.structure.couplings import derive_linear_part
+from asbuilt.description.structure.joint_map import JointMap, ShareDerivatives, TreeMotion
 from asbuilt.description.structure.locking import choose_usual_position
 from asbuilt.description.structure.loop_equations import loop_equations
 from asbuilt.description.structure.loops import (
