@@ -17,7 +17,6 @@ from asbuilt.description.structure.free_base import AXES
 from asbuilt.description.structure.parts import Joint
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
-from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.identification.calibration.delay import RULES
 from asbuilt.identification.calibration.payload import choose_payload_frame
 
@@ -212,6 +211,8 @@ def measure_rollout_errors(
 
 def _measure_base(measured: Sequence[Array], simulated: Sequence[Array]) -> tuple[float, float]:
     """Return the root mean square of distances and tilts between free bases (W, L, n)."""
+    from asbuilt.experiment.free_base.columns import base_rotations  # noqa: PLC0415 - light start
+
     q = [
         np.concatenate([x[:, 1:].reshape(-1, x.shape[2]) for x in y]) for y in (measured, simulated)
     ]
