@@ -6,12 +6,16 @@ the loop, the beginning of one long random motion, and one motion of `asbuilt ex
 length. The error of each model is measured on three random motions that none has seen, of the
 torque or, from commands, of simulated motion.
 
-    python benchmarks/loop.py --robots 15 --out out/loop.jsonl
+    python benchmarks/loop.py --first 100 --robots 60 --out out/loop.jsonl
     python benchmarks/loop.py --summary out/loop.jsonl
 
 Reported are the seconds of motion until the error stays within 1.2 of the least that 120 s of the
 random or the designed motion reach, and how often USE is right: an error of at most 1.5 times the
-promise. Rows are added to the file, and robots that it has are not measured again.
+promise. Lines are added to the file: one for the fixed motions of a robot and one for its loop,
+each as soon as it is measured; what the file has is not measured again.
+
+Robots below 100 were looked at while the rules of the loop were settled; those from 100 on were
+not.
 """
 
 from __future__ import annotations
@@ -45,10 +49,15 @@ Purpose = Literal["torque", "simulator", "payload"]
 MAKES = ("ur10e", "kuka-iiwa7-r800", "franka-panda", "puma-560", "scara")
 LOGGED = ("sensor", "motor", "command")
 EFFECTS = ("tilt", "tool", "stiction", "backlash")
-LENGTHS = (10.0, 20.0, 30.0, 40.0, 60.0, 120.0)
-"""Seconds of motion from which models are made."""
-ROUNDS = 6
-"""Rounds of the loop, 10 s each, unless stated."""
+LENGTHS = {
+    "random": (10.0, 20.0, 40.0, 60.0, 120.0),
+    "excite": (3.0, 5.0, 10.0, 20.0, 120.0),
+}
+"""Seconds of motion from which models are made; times between follow by interpolation."""
+REPEATED = 20.0
+"""Longest period of a designed motion [s]; a longer motion repeats that of this length."""
+LEAST_ROUNDS = 4
+"""Fewest rounds of the loop; most loops end with it."""
 TESTS = 3
 WITHIN = 1.2
 """Error, in multiples of what 120 s reach, at which a model counts as learned."""
@@ -74,11 +83,11 @@ class Moved:
         return repr(self.robot)
 
 
-class EndlessLoop(Loop):
-    """A loop that goes on whatever it finds."""
+class LongLoop(Loop):
+    """A loop of at least `LEAST_ROUNDS`, whatever it finds; none after that goes on for long."""
 
     def choose_ending(self) -> Any:
-        return "rounds" if len(self.rounds) >= self.options.rounds else None
+        return super().choose_ending() if len(self.rounds) >= LEAST_ROUNDS else None
 
 
 def make_robot(number: int) -> tuple[RobotModel, VirtualRobot, list[str], str]:
@@ -130,61 +139,63 @@ def random_motion(model: RobotModel, seed: int, seconds: float) -> Motion:
     )
 
 
-def measure_robot(
-    number: int,
-    known: dict[str, Any] | None = None,
-    *,
-    rounds: int = ROUNDS,
-    purpose: Purpose = "torque",
-    loop_only: bool = False,
-) -> dict[str, Any]:
-    """Return the errors of one robot for each way of moving it.
-
-    With a `known` row only the loop is measured again, with `loop_only` nothing else.
-    """
-    model, robot, effects, logged = make_robot(number)
+def record_tests(number: int) -> tuple[RobotModel, VirtualRobot, list[Recording]]:
+    """Return description, robot, and recordings of motions that no model has seen."""
+    model, robot, _, _ = make_robot(number)
     tests = [
         robot.record(random_motion(model, 9000 + 10 * number + k, 20.0), k).recording
         for k in range(TESTS)
     ]
-    row: dict[str, Any] = {"robot": number, "make": model.name, "effects": effects,
-                           "logged": logged, "loop": [], "random": [], "excite": []}  # fmt: skip
+    return model, robot, tests
+
+
+def measure_fixed(number: int) -> dict[str, Any]:
+    """Return the errors of models from growing lengths of one random and one designed motion."""
+    model, robot, tests = record_tests(number)
     began = time.process_time()
-    options = RunOptions(rounds=rounds, until=WANTED, seed=number, purpose=purpose)
+    errors: dict[str, list[Any]] = {"random": [], "excite": []}
+    whole = robot.record(random_motion(model, number, 120.0), number + 1).recording
+    for length in LENGTHS["random"]:
+        part = whole.between(0.0, length) if length < whole.duration else whole
+        errors["random"].append([length, attempt(model, part, tests)])
+    for length in LENGTHS["excite"]:
+        options = DesignOptions(
+            duration=length, starts=6, time_limit=20.0, seed=number,
+            periods=None if length <= REPEATED else round(length / REPEATED),
+        )  # fmt: skip
+        try:
+            motion = asbuilt.design_motion(model, options, with_bound=False, cores=1).motion
+        except AsbuiltError:
+            # Too short for as many parameters.
+            errors["excite"].append([length, None])
+            continue
+        recording = robot.record(motion, number + 2).recording
+        errors["excite"].append([length, attempt(model, recording, tests)])
+    return errors | {"cpu": time.process_time() - began}
+
+
+def measure_loop(number: int, options: RunOptions) -> dict[str, Any]:
+    """Return the errors of the models of a loop round by round, which goes on when it is proven."""
+    model, robot, tests = record_tests(number)
+    began = time.process_time()
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
-        loop = EndlessLoop(
+        loop = LongLoop(
             model=model,
             driver=Moved(robot, 1000 * number),
             folder=Path(folder),
-            options=options,
+            options=replace(options, seed=number),
         )
         seconds = 0.0
         for made in loop:
             seconds += made.seconds
-            row["loop"].append({
-                "seconds": seconds, "error": measure_error(made.study, tests, purpose),
+            rows.append({
+                "seconds": seconds, "error": measure_error(made.study, tests, options.purpose),
                 "promised": made.goal_error, "verdict": made.verdict,
-                "passes": made.passes(WANTED / 100), "round": [made.promised, made.found],
+                "passes": made.passes(options.until / 100), "round": [made.promised, made.found],
+                "ending": Loop.choose_ending(loop),
             })  # fmt: skip
-    row["cpu_of_loop"] = time.process_time() - began
-    if known is not None:
-        return {**known, **{key: row[key] for key in ("loop", "cpu_of_loop")}}
-    if loop_only:
-        return row
-    whole = robot.record(random_motion(model, number, LENGTHS[-1]), number + 1).recording
-    for length in LENGTHS:
-        part = whole.between(0.0, length) if length < LENGTHS[-1] else whole
-        row["random"].append([length, attempt(model, part, tests)])
-    for length in LENGTHS:
-        options_of_length = DesignOptions(
-            duration=length, starts=6, time_limit=20.0, seed=number,
-            periods=None if length <= 40.0 else round(length / 20.0),
-        )  # fmt: skip
-        motion = asbuilt.design_motion(model, options_of_length, with_bound=False, cores=1).motion
-        recording = robot.record(motion, number + 2).recording
-        row["excite"].append([length, attempt(model, recording, tests)])
-    row["cpu"] = time.process_time() - began
-    return row
+    return {"loop": rows, "cpu_of_loop": time.process_time() - began}
 
 
 def attempt(model: RobotModel, recording: Recording, tests: list[Recording]) -> float | None:
@@ -195,12 +206,20 @@ def attempt(model: RobotModel, recording: Recording, tests: list[Recording]) -> 
 
 
 def time_until(errors: list[tuple[float, float | None]], level: float) -> float:
-    """Return the seconds from which on the error stays within a level; infinite if never."""
-    reached = np.inf
+    """Return the seconds from which on the error stays within a level; infinite if never.
+
+    Between two lengths the logarithm of the error falls straight over that of the length.
+    """
+    reached = after = np.inf
     for seconds, error in reversed(errors):
-        if error is None or not error <= level:
+        if error is None:
             break
-        reached = seconds
+        if not error <= level:
+            if np.isfinite(reached) and after < level:
+                share = np.log(error / level) / np.log(error / after)
+                reached = seconds * (reached / seconds) ** share
+            break
+        reached, after = seconds, error
     return float(reached)
 
 
@@ -254,7 +273,7 @@ def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 def compare_at_equal_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Yield the error of the loop over that of one designed motion of the same length."""
-    for length in LENGTHS:
+    for length in LENGTHS["excite"]:
         ratios = [
             here["error"] / there[1]
             for row in rows
@@ -270,40 +289,46 @@ def compare_at_equal_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
             )
 
 
+def read_rows(path: Path) -> dict[int, dict[str, Any]]:
+    """Return what a file holds of each robot."""
+    rows: dict[int, dict[str, Any]] = {}
+    for line in path.read_text().splitlines() if path.exists() else ():
+        row = json.loads(line)
+        rows.setdefault(row["robot"], {}).update(row)
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", type=int, default=15)
+    parser.add_argument("--robots", type=int, default=60)
+    parser.add_argument("--first", type=int, default=100, help="number of the first robot")
     parser.add_argument("--out", type=Path, default=Path("out/loop.jsonl"))
     parser.add_argument("--summary", type=Path)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--rounds", type=int, default=RunOptions().rounds)
+    parser.add_argument("--seconds", type=float, default=RunOptions().seconds)
+    parser.add_argument("--speed", type=float, default=RunOptions().speed)
     parser.add_argument("--for", dest="purpose", choices=get_args(Purpose), default="torque")
-    parser.add_argument("--loop-only", action="store_true", help="without the other motions")
-    parser.add_argument("--first", type=int, default=0, help="number of the first robot")
-    parser.add_argument("--again", type=Path, help="rows of which only the loop is measured again")
+    parser.add_argument("--only", choices=("fixed", "loop"), help="measure one half")
     given = parser.parse_args()
     path = given.summary or given.out
-    former = (
-        [json.loads(line) for line in given.again.read_text().splitlines()] if given.again else []
-    )
-    rows = {row["robot"]: row for row in former}
-    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    options = RunOptions(
+        rounds=given.rounds, seconds=given.seconds, speed=given.speed, purpose=given.purpose,
+        until=WANTED,
+    )  # fmt: skip
+    parts = {"excite": measure_fixed, "loop": lambda number: measure_loop(number, options)}
+    skipped = {"fixed": "loop", "loop": "excite"}.get(given.only)
     if given.summary is None:
         path.parent.mkdir(parents=True, exist_ok=True)
+        known = read_rows(path)
         for number in range(given.first, given.first + given.robots):
-            if number in {row["robot"] for row in known}:
-                continue
-            known.append(
-                measure_robot(
-                    number,
-                    rows.get(number),
-                    rounds=given.rounds,
-                    purpose=given.purpose,
-                    loop_only=given.loop_only,
-                )
-            )
-            with path.open("a") as file:
-                file.write(json.dumps(known[-1]) + "\n")
-    print("\n".join(summarise(known)))
+            for key, measure in parts.items():
+                if key == skipped or key in known.get(number, {}):
+                    continue
+                model, _, effects, logged = make_robot(number)
+                row = {"robot": number, "make": model.name, "effects": effects, "logged": logged}
+                with path.open("a") as file:
+                    file.write(json.dumps(row | measure(number)) + "\n")
+    print("\n".join(summarise(list(read_rows(path).values()))))
 
 
 if __name__ == "__main__":
