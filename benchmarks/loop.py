@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+from scipy.stats import binomtest
 
 import asbuilt
 from asbuilt import (
@@ -44,6 +45,7 @@ from asbuilt import (
 )
 from asbuilt.apps.run import Loop, RunOptions, predict_round
 from asbuilt.excitation import Motion
+from asbuilt.identification import choose_payload_frame
 
 Purpose = Literal["torque", "simulator", "payload"]
 MAKES = ("ur10e", "kuka-iiwa7-r800", "franka-panda", "puma-560", "scara")
@@ -59,6 +61,12 @@ REPEATED = 20.0
 LEAST_ROUNDS = 4
 """Fewest rounds of the loop; most loops end with it."""
 TESTS = 3
+LOAD = 0.05
+"""Mass that is weighed with the models, as a share of the moving mass."""
+CENTRE = (0.02, -0.01, 0.08)
+"""Its centre of mass at the flange [m]."""
+WEIGHED = (20.0, 40.0)
+"""Seconds of motion of the bare arm with which it is weighed."""
 WITHIN = 1.2
 """Error, in multiples of what 120 s reach, at which a model counts as learned."""
 TRUSTED = 1.5
@@ -198,6 +206,46 @@ def measure_loop(number: int, options: RunOptions) -> dict[str, Any]:
     return {"loop": rows, "cpu_of_loop": time.process_time() - began}
 
 
+def measure_weighing(number: int, options: RunOptions) -> dict[str, Any]:
+    """Return how far a mass is off that is weighed with the models of both loops and of `excite`.
+
+    Rows are the seconds of motion, the relative error of the mass, its standard error likewise, and
+    the distance of the centre [mm].
+    """
+    model, robot, _, _ = make_robot(number)
+    mass = LOAD * sum(link.inertia.mass for link in robot.model.links)
+    load = LinkInertia.from_com(mass, CENTRE, 2e-3 * mass * np.eye(3))
+    carrying = robot.with_tool(load, choose_payload_frame(model)[0])
+    loaded = carrying.record(random_motion(model, 8000 + number, 20.0), number + 3).recording
+
+    def weigh(seconds: float, study: Study) -> list[float]:
+        found = asbuilt.identify_payload(study, loaded)
+        centre = 1e3 * float(np.linalg.norm(found.values[1:4] - CENTRE))
+        error = float(found.values[0]) / mass - 1.0
+        return [seconds, error, float(found.std_errors[0]) / mass, centre]
+
+    weighed: dict[str, list[Any]] = {}
+    for purpose in ("payload", "torque"):
+        wanted = replace(options, purpose=purpose, seed=number, rounds=LEAST_ROUNDS)
+        driver = Moved(robot, 1000 * number)
+        with tempfile.TemporaryDirectory() as folder:
+            loop = LongLoop(model=model, driver=driver, folder=Path(folder), options=wanted)
+            made = list(loop)
+        seconds = np.cumsum([each.seconds for each in made])
+        weighed[purpose] = [
+            weigh(float(at), each.study)
+            for at, each in zip(seconds, made, strict=True)
+            if np.min(np.abs(at - np.array(WEIGHED))) < 0.5 * options.seconds
+        ]
+    weighed["excite"] = []
+    for length in WEIGHED:
+        design = DesignOptions(duration=length, starts=6, time_limit=20.0, seed=number)
+        motion = asbuilt.design_motion(model, design, with_bound=False, cores=1).motion
+        recording = robot.record(motion, number + 2).recording
+        weighed["excite"].append(weigh(length, learn(model, recording)))
+    return {"weighed": weighed}
+
+
 def attempt(model: RobotModel, recording: Recording, tests: list[Recording]) -> float | None:
     try:
         return measure_error(learn(model, recording), tests)
@@ -223,52 +271,108 @@ def time_until(errors: list[tuple[float, float | None]], level: float) -> float:
     return float(reached)
 
 
+def interpolate(errors: list[tuple[float, float | None]], seconds: float) -> float:
+    """Return the error after some seconds, straight between logarithms; NaN before the first."""
+    known = [(at, error) for at, error in errors if error is not None]
+    if not known or seconds < known[0][0]:
+        return float("nan")
+    at, error = np.log(np.transpose(known))
+    return float(np.exp(np.interp(np.log(seconds), at, error)))
+
+
 def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
+    whole = [row for row in rows if "loop" in row and "excite" in row]
+    if whole:
+        yield from compare_seconds(whole)
+    looped = [row for row in rows if "loop" in row]
+    if looped:
+        yield from judge_use(looped)
+    weighed = [row for row in rows if "weighed" in row]
+    if weighed:
+        yield from compare_weighing(weighed)
+
+
+def compare_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the seconds of motion until a model counts as learned, by robot."""
     yield (
-        f"{'robot':<18}{'logged':<9}{'effects':<19}{'level %':>8}{'loop s':>8}{'random':>8}"
-        f"{'excite':>8}"
+        f"{'robot':>5} {'make':<18}{'logged':<9}{'effects':<19}{'level %':>8}{'loop s':>8}"
+        f"{'random':>8}{'excite':>8}"
     )
     times = []
+    at_half = []
     for row in rows:
-        name = f"{row['make']:<18}{row['logged']:<9}{'+'.join(row['effects']) or '-':<19}"
-        if not row["excite"]:
-            yield name
-            continue
         ends = [row[way][-1][1] for way in ("random", "excite")]
         level = WITHIN * min(each for each in ends if each is not None)
         loop = [(each["seconds"], each["error"]) for each in row["loop"]]
         found = [time_until(each, level) for each in (loop, row["random"], row["excite"])]
         times.append(found)
-        yield f"{name}{100 * level:>8.2f}" + "".join(f"{each:>8.0f}" for each in found)
-    if times:
-        medians = np.median(times, axis=0)
-        yield f"median seconds: loop {medians[0]:g}, random {medians[1]:g}, excite {medians[2]:g}"
-        yield from compare_at_equal_seconds(rows)
-    proven = [
-        (now["error"] / now["promised"], now)
-        for row in rows
-        for before, now in zip(row["loop"][:-1], row["loop"][1:], strict=True)
-        if before["passes"] and now["passes"] and before["verdict"] == now["verdict"] == "yes"
-    ]
-    right = sum(ratio <= TRUSTED for ratio, _ in proven)
-    worst = max((ratio for ratio, _ in proven), default=np.nan)
-    yield f"proven (USE twice in a row): right {right} of {len(proven)}, worst {worst:.2f}"
-    ratios = [ratio for ratio, _ in proven] or [np.nan]
-    low, middle, high = np.quantile(ratios, (0.05, 0.5, 0.95))
-    yield f"error over promise when proven: median {middle:.2f}, 90 % in {low:.2f} to {high:.2f}"
-    every = [each["error"] / each["promised"] for row in rows for each in row["loop"][1:]]
-    yield (
-        f"error within {TRUSTED:g} of the promise after any round but the first:"
-        f" {np.mean(np.array(every) <= TRUSTED):.0%} of {len(every)}"
-    )
-    tested = [
-        each["round"][1] / each["round"][0]
-        for row in rows
-        for each in row["loop"]
-        if each["round"][0]
-    ]
-    yield f"found within 1.5 of the promised error: {np.mean(np.array(tested) <= 1.5):.0%}"
-    yield f"CPU seconds of a loop: median {np.median([row['cpu_of_loop'] for row in rows]):.0f}"
+        at_half.append(interpolate(row["excite"], found[2] / 2) / level)
+        effects = "+".join(row["effects"]) or "-"
+        yield (
+            f"{row['robot']:>5} {row['make']:<18}{row['logged']:<9}{effects:<19}"
+            f"{100 * level:>8.2f}" + "".join(f"{each:>8.2g}" for each in found)
+        )
+    seconds = np.array(times)
+    medians = np.median(seconds, axis=0)
+    yield f"median seconds: loop {medians[0]:.2g}, random {medians[1]:.2g}, excite {medians[2]:.2g}"
+    for way, of in (("random", seconds[:, 1]), ("excite", seconds[:, 2])):
+        # What neither reaches tells nothing.
+        told = np.isfinite(seconds[:, 0]) | np.isfinite(of)
+        half = int(np.sum(seconds[told, 0] <= of[told] / 2))
+        yield f"the loop needs at most half of {way}: {half} of {np.sum(told)}"
+    known = [each for each in at_half if np.isfinite(each)]
+    if known:
+        yield (
+            f"half of its own seconds leave excite at {np.median(known):.2g} times the level"
+            f" (median of {len(known)})"
+        )
+    yield from compare_at_equal_seconds(rows)
+
+
+def judge_use(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield how loops end, and how often USE is right."""
+    ends: dict[str, int] = {}
+    proven = []
+    for row in rows:
+        last = next((each for each in row["loop"] if each["ending"]), row["loop"][-1])
+        ending = last["ending"] or "goes on"
+        ends[ending] = ends.get(ending, 0) + 1
+        if ending == "proven":
+            kind = "simulated motion" if row["logged"] == "command" else "torque"
+            proven.append((last["error"] / last["promised"], kind, row["robot"]))
+    yield "loops end: " + ", ".join(f"{ending} {count}" for ending, count in ends.items())
+    for kind in ("torque", "simulated motion", None):
+        ratios = [ratio for ratio, of, _ in proven if kind in (of, None)]
+        if not ratios:
+            continue
+        right = int(np.sum(np.array(ratios) <= TRUSTED))
+        low, high = binomtest(right, len(ratios)).proportion_ci()
+        spread = " to ".join(f"{each:.2f}" for each in np.quantile(ratios, (0.05, 0.5, 0.95)))
+        yield (
+            f"USE right, {kind or 'all'}: {right} of {len(ratios)} (95 % interval {low:.0%} to"
+            f" {high:.0%}); error over promise {spread} (5, 50, 95 %), worst {max(ratios):.2f}"
+        )
+    wrong = [f"{robot} ({ratio:.2f})" for ratio, _, robot in proven if ratio > TRUSTED]
+    if wrong:
+        yield "USE wrong: robots " + ", ".join(wrong)
+    errors = [each["error"] for row in rows for each in row["loop"] if each["ending"] == "proven"]
+    yield f"largest error on unseen motions when proven: {max(errors, default=np.nan):.1%}"
+    seconds = np.median([row["cpu_of_loop"] / len(row["loop"]) for row in rows])
+    yield f"CPU seconds of a round: median {seconds:.1f}"
+
+
+def compare_weighing(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield how far masses are off that were weighed with the models of three ways."""
+    for index, length in enumerate(WEIGHED):
+        for way in ("payload", "torque", "excite"):
+            found = np.array([row["weighed"][way][index][1:] for row in rows])
+            name = "one designed motion" if way == "excite" else f"loop --for {way}"
+            off = 100 * np.median(np.abs(found[:, 0]))
+            within = int(np.sum(np.abs(found[:, 0]) <= 1.96 * found[:, 1]))
+            yield (
+                f"{length:g} s, {name}: mass off by {off:.2g} % (median), centre by"
+                f" {np.median(found[:, 2]):.2g} mm; 95 % interval holds {within} of {len(rows)}"
+            )
 
 
 def compare_at_equal_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -279,7 +383,7 @@ def compare_at_equal_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
             for row in rows
             for here in row["loop"]
             for there in row["excite"]
-            if here["seconds"] == there[0] == length and there[1] is not None
+            if abs(here["seconds"] - length) < 0.5 and there[0] == length and there[1] is not None
         ]
         if ratios:
             low, middle, high = np.quantile(ratios, (0.0, 0.5, 1.0))
@@ -308,21 +412,25 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=RunOptions().seconds)
     parser.add_argument("--speed", type=float, default=RunOptions().speed)
     parser.add_argument("--for", dest="purpose", choices=get_args(Purpose), default="torque")
-    parser.add_argument("--only", choices=("fixed", "loop"), help="measure one half")
+    parser.add_argument("--only", choices=("fixed", "loop", "weigh"), help="measure one part")
     given = parser.parse_args()
     path = given.summary or given.out
     options = RunOptions(
         rounds=given.rounds, seconds=given.seconds, speed=given.speed, purpose=given.purpose,
         until=WANTED,
     )  # fmt: skip
-    parts = {"excite": measure_fixed, "loop": lambda number: measure_loop(number, options)}
-    skipped = {"fixed": "loop", "loop": "excite"}.get(given.only)
+    parts = {
+        "fixed": ("excite", measure_fixed),
+        "loop": ("loop", lambda number: measure_loop(number, options)),
+        "weigh": ("weighed", lambda number: measure_weighing(number, options)),
+    }
+    wanted = [given.only] if given.only else ["fixed", "loop"]
     if given.summary is None:
         path.parent.mkdir(parents=True, exist_ok=True)
         known = read_rows(path)
         for number in range(given.first, given.first + given.robots):
-            for key, measure in parts.items():
-                if key == skipped or key in known.get(number, {}):
+            for key, measure in (parts[part] for part in wanted):
+                if key in known.get(number, {}):
                     continue
                 model, _, effects, logged = make_robot(number)
                 row = {"robot": number, "make": model.name, "effects": effects, "logged": logged}
