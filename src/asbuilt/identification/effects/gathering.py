@@ -22,7 +22,7 @@ from asbuilt.identification.information.rows import (
     TimeBlock,
     divide_into_blocks,
 )
-from asbuilt.identification.information.triangular import shorten_rows, stack_blocks
+from asbuilt.identification.information.triangular import shorten_columns, stack_blocks
 
 EFFECTS = "effects"
 """Group of the columns of all candidates."""
@@ -108,7 +108,7 @@ def gather_rows(
             rows = part.rows(plan, partial(columns, part))
             # Slots that a joint does not have hold zeros, and go before the blocks are kept.
             own = (rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True))
-            found.append([shorten_rows(each.T) for each in own])
+            found.append([shorten_columns(each) for each in own])
             times.append(part.time)
     gathered = BlockRows(
         {MODEL: base.n_base, EFFECTS: size - base.n_base},

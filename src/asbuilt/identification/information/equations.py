@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -80,11 +80,11 @@ class Equations:
         """Return the Gram matrix of joint k over all blocks, which weigh (B,)."""
         return np.asarray(np.tensordot(weight, self.grams[k], 1))
 
-    def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
+    def stacked(self, weights: Array) -> Array:
         """Return the sum over joints, (P + 1, P + 1), of joint k times `weights[k]`^2."""
         total = np.zeros((self.n_columns + 1,) * 2)
         for k, support in enumerate(self.support):
-            gram = self.of_joints[k] if blocks is None else self.grams[k][blocks].sum(axis=0)
+            gram = self.of_joints[k]
             places = np.append(support, self.n_columns)
             # Columns first, then whole rows: places by pairs would take five times as long.
             wide = np.zeros((len(places), self.n_columns + 1))

@@ -17,7 +17,7 @@ from asbuilt.dynamics import BaseParameters, gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.information.triangular import shorten_rows
+from asbuilt.identification.information.triangular import shorten_columns
 
 
 @dataclass(slots=True, eq=False)
@@ -398,7 +398,7 @@ class Rows:
         """
         if self._roots is None:
             self._roots = [
-                tuple(shorten_rows(rows[:-1].T) for rows in block) for block in self.by_block()
+                tuple(shorten_columns(rows[:-1]) for rows in block) for block in self.by_block()
             ]
         return self._roots
 

@@ -33,6 +33,7 @@ from asbuilt.identification.information.rows import (
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    shorten_columns,
     shorten_rows,
     stack_blocks,
 )
@@ -387,7 +388,7 @@ def reduce_rows(
     for block in blocks:
         gathered.seconds = max(gathered.seconds, block.seconds)
         torque_sum = np.array([rows[-1].sum() for rows in block.rows])
-        factors = tuple(shorten_rows(rows.T) for rows in block.rows)
+        factors = tuple(map(shorten_columns, block.rows))
         gathered.add(_Reduced(factors, torque_sum, block.time))
     return gathered.information(base, joint_names, tuple(support))
 

@@ -83,6 +83,11 @@ def shorten_rows(rows: Array) -> Array:
     return triangular_factor(rows) if len(rows) > rows.shape[1] else rows
 
 
+def shorten_columns(columns: Array) -> Array:
+    """Return rows given as columns (p, m) as rows, or their triangular factor if it has fewer."""
+    return reduce_columns(columns) if columns.shape[1] > len(columns) else columns.T
+
+
 class GrowingFactor:
     """Reduce a growing number of rows with p columns to their factor, `capacity` at a time."""
 
