@@ -186,7 +186,7 @@ class _Errors:
     def scores(self, c: Indices, d: Array) -> Array:
         """Return the scores (B, c) of each block's columns with these values."""
         own = self.moves[..., c]
-        return -np.einsum("bnmc,bnm->bc", own, self.residual + own @ d)
+        return np.asarray(-np.einsum("bnmc,bnm->bc", own, self.residual + own @ d))
 
 
 class Trials:
@@ -360,7 +360,7 @@ class Trials:
         """Return the RMS torque (n,) of a candidate with these values."""
         energy = np.zeros(self.rows.n_joints)
         acting = self.rows.places[:, candidate.places] >= 0
-        for k in np.flatnonzero(acting.any(axis=1)):
+        for k in np.flatnonzero(acting.any(axis=1)).tolist():
             torque = self.rows.product(k, candidate.places, values)
             energy[k] = np.einsum("bm,bm->", torque, torque)
         return np.sqrt(energy / self._n_samples)
@@ -596,5 +596,7 @@ def _score_left_out(fit: _Fit, errors: _Errors, c: Indices, size: Array) -> Arra
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
     schur = fit.schur(c)
     # The value refits with the training equations: the held-out group only judges it.
-    d = np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c])
+    d: Array = np.asarray(
+        np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c]), dtype=np.float64
+    )
     return errors.squares(c, d)
