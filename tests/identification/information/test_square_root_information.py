@@ -508,3 +508,15 @@ def test_sums_over_joints_are_the_squares_of_their_factor(robot) -> None:
         )
     ]
     assert information.spent(weights, root @ root.T) == pytest.approx(leverages, rel=1e-9)
+
+
+@pytest.mark.parametrize("parallel", [None, design_parallel_filter(8.0, 100.0, 3)])
+def test_a_filtered_sample_touches_the_samples_of_its_window(robot, parallel) -> None:
+    model, _ = robot
+    samples = recording(model, parallel=parallel, segments=((0, 700), (720, 1500)))
+    step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+    some = np.random.default_rng(4).random(samples.n_samples) < 0.01
+    for block in divide_into_blocks(model, [samples], 2.0):
+        begin = block.start + step * np.arange(block.first, block.last)
+        expected = [bool(some[k : k + width].any()) for k in begin]
+        assert block.touches(some).tolist() == expected

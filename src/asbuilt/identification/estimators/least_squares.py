@@ -41,9 +41,10 @@ some five steps, where all digits take thirty."""
 MOST_ITERATIONS = 50
 NEAR = 0.1
 """Relative change of weights below which steps are extrapolated."""
-ENOUGH_BY_SQUARES = 1e4
-"""Scaled condition number (Frobenius) up to which weights come from normal equations: parameters
-are off by its square times 1e-16, and residuals by the square of that."""
+ENOUGH_BY_SQUARES = 200.0
+"""Scaled condition number (Frobenius) per parameter, 1 of orthogonal columns, up to which weights
+come from normal equations: of 50 parameters these are off by 1e-8, and residuals by the square of
+that."""
 LARGE_CONDITION = 200.0
 """Scaled condition number above which model errors are amplified (below 100 is good: Gautier and
 Khalil, Int. J. Robotics Research 11, 1992).
@@ -179,9 +180,10 @@ def solve_squares(total: Array) -> tuple[Array, Array] | None:
     size = np.sqrt(np.diag(total)[:-1])
     if size.size == 0 or not np.all(size > 0.0):
         return None
+    most = ENOUGH_BY_SQUARES * size.size
     factor, problem = lapack.dpotrf(total[:-1, :-1] / np.outer(size, size), clean=1)
     inverse, singular = lapack.dtrtri(factor) if problem == 0 else (factor, 1)
-    if singular or np.linalg.norm(inverse) * np.linalg.norm(factor) > ENOUGH_BY_SQUARES:
+    if singular or np.linalg.norm(inverse) * np.linalg.norm(factor) > most:
         return None
     root = inverse / size[:, None]
     return root @ (root.T @ total[:-1, -1]), root

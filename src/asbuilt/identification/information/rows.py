@@ -204,14 +204,17 @@ class SampleBlock:
             found.append(np.concatenate([own[:-1], added, own[-1:]]))
         return tuple(found)
 
-    def rests_on(self, keep: Mask) -> Mask:
-        """Return which filtered samples (n_outputs,) are of samples to `keep` (N,) alone."""
+    def touches(self, samples: Mask) -> Mask:
+        """Return which filtered samples (n_outputs,) have a part in any of some samples (N,)."""
         parallel = self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
-        # Samples left out up to each place: a window has none if both its ends count the same.
-        left_out = np.concatenate([[0], np.cumsum(~keep)])
-        begin = self.start + step * np.arange(self.first, self.last)
-        return np.asarray(left_out[begin + width] == left_out[begin])
+        begin = step * np.arange(self.n_outputs)
+        first = self.start + step * self.first
+        # Of this block alone: what is counted of a long recording for each of its blocks adds up.
+        counted = np.cumsum(samples[first : first + step * (self.n_outputs - 1) + width])
+        # How many come before each place: a window has none if both its ends count the same.
+        before = np.concatenate([[0], counted])
+        return np.asarray(before[begin + width] != before[begin])
 
     def filtered(self, values: Callable[[slice], Array]) -> Array:
         """Return filtered values (n, n_outputs) of what is given (m, n) on a span of samples.

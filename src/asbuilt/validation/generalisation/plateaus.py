@@ -298,7 +298,7 @@ class _Fits:
             place = places[id(part.samples)]
             for number, choice in enumerate(left_out):
                 # Rows that take any part in what is left out go.
-                gone = ~part.rests_on(~choice[place])
+                gone = part.touches(choice[place])
                 if gone.any():
                     yield number, tuple(rows[:, gone] for rows in block.rows)
 
