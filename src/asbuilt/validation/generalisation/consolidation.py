@@ -27,11 +27,13 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "joints_correlated": ("poorly_determined",),
         "link_mass_differs": CAUSES,
         "not_excited": ("joint_without_torque",),
+        "payload_in_log": ("does_not_generalise", "cad_predicts_better"),
     }
 )
 """Findings that follow from another one, or repeat it; with it they are good to know only."""
 
 WEIGHT: tuple[str, ...] = (
+    "payload_in_log",
     "joint_without_torque",
     "gravity_absent",
     "gravity_partial",
