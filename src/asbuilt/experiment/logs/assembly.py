@@ -245,8 +245,8 @@ def keep_windows(recording: Recording, sheet: RecordingSheet) -> Recording:
     if not sheet.windows:
         return recording
     inside = sheet.in_windows(recording.t, float(recording.t[0]))
-    kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
-    note = f"{kept.n_samples} of {inside.size} samples lie in the time windows of the sheet"
+    kept = recording.taken(inside, "no sample lies in the time windows that are kept")
+    note = f"{kept.n_samples} of {inside.size} samples lie in the time windows that are kept"
     return replace(kept, notes=(*kept.notes, note))
 
 

@@ -215,6 +215,7 @@ def read_recording(
         table = read_table(paths, sheet)
         if len(paths) == 1 and not table.known:
             _refuse_lone_role_file(paths[0], table)
+    sheet = chosen.with_windows(sheet)
     layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
     table = LogMender(layout, sheet.zero).mend(table)
     rate = chosen.rate if chosen.rate is not None else sheet.rate

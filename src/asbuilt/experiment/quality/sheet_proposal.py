@@ -157,6 +157,12 @@ def _state_options(
     if options.torque_source is not None:
         stated["torque_source"] = options.torque_source
         left = replace(left, torque_source=None)
+    if options.window is not None:
+        stated["windows"] = [
+            {"start": start, "stop": stop} if math.isfinite(stop) else {"start": start}
+            for start, stop in options.window
+        ]
+        left = replace(left, window=None)
     if options.flip_torque and "sign" not in stated:
         stated["sign"] = -1
         left = replace(left, flip_torque=False)

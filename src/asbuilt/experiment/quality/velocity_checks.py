@@ -203,14 +203,14 @@ def _check_ends(
         # Most joints: a filter disturbs all of them.
         if len(bad) * 2 > len(moving):
             k = max(bad, key=lambda k: worst[k] / spread[k])
-            window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"
+            window = "0.5:" if name == "first" else f":{recording.duration - 0.5:.4g}"
             yield Finding(
                 "end_transient",
                 "warning",
                 f"in the {name} {end:g} s the logged velocity of {recording.first.joint_names[k]}"
                 f" differs from the derivative of its position by up to {worst[k]:.3g} rad/s,"
                 f" elsewhere by {inner[k]:.2g} rad/s, as at the end of a filtered signal",
-                Cure(f"cut the {name} half second in a recording sheet: [[windows]] {window}"),
+                Cure(f"cut the {name} half second", {"window": window}),
                 joint=recording.first.joint_names[k],
                 time=recording.clock.first if name == "first" else recording.clock.last - end,
             )
