@@ -109,7 +109,8 @@ def _doubt_torque_limits(model: RobotModel, recording: FirstPass) -> Finding | N
     current = recording.first.torque_source == "current"
     if current or known.size < FEWEST_ALIKE or np.ptp(limits[known]) > 0.0:
         return None
-    reached = np.abs(np.nan_to_num(recording.saturated.value[known]))
+    # Joints that stay below their limits have no value.
+    reached = np.where(recording.saturated.count > 0, np.abs(recording.saturated.value), 0.0)[known]
     k = int(np.argmax(reached))
     if reached[k] < EXCEEDED * limits[known[k]]:
         return None
