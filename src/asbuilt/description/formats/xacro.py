@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 from dataclasses import replace
@@ -78,6 +79,12 @@ def read_xacro(path: str | Path) -> RobotModel:
         )
     if done.returncode:
         message = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
+        if name := _find_missing_argument(message):
+            raise DescriptionError(
+                f"{path}: xacro needs a value of its argument {name!r}, which has no default",
+                cure=Cure("give it", settings={"xacro": f"{name}=VALUE"}),
+                file=str(path),
+            )
         raise DescriptionError(
             f"{path}: xacro cannot expand it ({shorten_line(message)})",
             cure=Cure(
@@ -89,6 +96,12 @@ def read_xacro(path: str | Path) -> RobotModel:
         )
     with name_file_in_errors(path):
         return replace(read_urdf(done.stdout), source=str(path))
+
+
+def _find_missing_argument(message: str) -> str:
+    """Return the argument whose name alone, quoted, is all that xacro says; empty for others."""
+    found = re.fullmatch(r"(?:Undefined substitution argument )?'?([A-Za-z_][\w-]*)'?", message)
+    return found[1] if found else ""
 
 
 FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))
