@@ -99,9 +99,13 @@ def read_xacro(path: str | Path) -> RobotModel:
 
 
 def _find_missing_argument(message: str) -> str:
-    """Return the argument whose name alone, quoted, is all that xacro says; empty for others."""
-    found = re.fullmatch(r"(?:Undefined substitution argument )?'?([A-Za-z_][\w-]*)'?", message)
-    return found[1] if found else ""
+    """Return the argument of which xacro says that it has none, by its name; empty for others."""
+    found = re.fullmatch(r"'([A-Za-z_][\w-]*)'(?: when evaluating expression '(.*)')?", message)
+    if found is None:
+        return ""
+    # Keys that a dictionary lacks are told alike.
+    of_argument = found[2] is None or f"$(arg {found[1]})" in found[2]
+    return found[1] if of_argument else ""
 
 
 FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))

@@ -156,7 +156,10 @@ def build_recording(
         listed = f"; columns without a meaning are {', '.join(others)}" if others else ""
         raise RecordingError(
             f"{table.source} has no time column and no rate is given{listed}",
-            cure=Cure("give the rate in Hz, here or as rate = ... in a recording sheet"),
+            cure=Cure(
+                "give the rate in Hz, or write rate = ... in a recording sheet",
+                settings={"rate": "HZ"},
+            ),
             file=table.source,
         )
     else:

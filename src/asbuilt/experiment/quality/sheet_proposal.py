@@ -82,7 +82,7 @@ class SheetProposal:
 
 
 def propose_sheet(
-    model: RobotModel, paths: Sequence[Path], options: ReadingOptions | None = None
+    model: RobotModel, paths: Sequence[str | Path], options: ReadingOptions | None = None
 ) -> SheetProposal:
     """Return the sheet with which a log can be read, and the check of the log as read with it.
 
@@ -105,6 +105,7 @@ def propose_sheet(
         The sheet, complete: columns, units, clock and sign.
     """
     chosen = options or ReadingOptions()
+    paths = [Path(path) for path in paths]
     given, _ = find_sheet(paths[0], chosen.sheet)
     # Fields that the log's own sheet gives are no proposal.
     content = given.model_dump(exclude_unset=True, exclude_none=True)

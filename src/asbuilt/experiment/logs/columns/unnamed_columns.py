@@ -102,9 +102,7 @@ def draft_sheet(
         for i, k in enumerate(begins)
         if table.named and all(_is_torque(names[j]) for j in others[k : k + n_joints])
     }
-    position, command, velocity, torques, degrees = _assign_roles(
-        t, groups, model, torques_by_name
-    )
+    position, command, velocity, torques, degrees = _assign_roles(t, groups, model, torques_by_name)
     # Whole numbers are counts, of which the check finds the unit.
     if degrees and not _is_whole(groups[position]):
         units |= dict.fromkeys(["position"] if command is None else ["position", "command"], "deg")
@@ -291,8 +289,8 @@ def _assign_roles(
     position, velocity = pair or ((free or rest)[0] if known is None else known, None)
     turned = bool(_find_largest(groups[position]) > LARGEST_RADIANS)
     others = [k for k in rest if k not in (position, velocity)]
-    if not others and velocity is not None:
-        # Friction makes a torque look like a velocity; a log without torque is of no use.
+    if not others and velocity is not None and command is None:
+        # Friction makes a torque look like a velocity; a log without torque or command is useless.
         others = [velocity]
         velocity = None
     if model is None:
