@@ -215,7 +215,8 @@ def _write_robot(
             )
             notes["urdf"] = (*remarks, *kept)
     except (IdentifiabilityError, DescriptionError) as problem:
-        notes[kind] = (f"not written: {problem}",)
+        why = "; ".join(filter(None, (problem.message, str(problem.cure or ""))))
+        notes[kind] = (f"not written: {why}",)
     return files, {kind: remarks for kind, remarks in notes.items() if remarks}
 
 
