@@ -269,11 +269,16 @@ class ReadingOptions:
         },
     )
 
+    @property
+    def windows(self) -> tuple[tuple[float, float], ...]:
+        """Start and stop of each segment to keep [s]; none where all is kept."""
+        return () if self.window is None else make_windows(self.window)
+
     def with_windows(self, sheet: RecordingSheet) -> RecordingSheet:
         """Return a sheet whose windows are those given here, if any are."""
         if self.window is None:
             return sheet
-        windows = [SheetWindow(start=start, stop=stop) for start, stop in self.window]
+        windows = [SheetWindow(start=start, stop=stop) for start, stop in self.windows]
         return sheet.model_copy(update={"windows": windows})
 
     @property
@@ -301,7 +306,7 @@ class ReadingOptions:
             gains = np.atleast_1d(np.asarray(self.gain, dtype=np.float64))
             object.__setattr__(self, "gain", tuple(gains.ravel().tolist()))
         if self.window is not None:
-            object.__setattr__(self, "window", _make_windows(self.window))
+            object.__setattr__(self, "window", make_windows(self.window))
         if isinstance(self.lock, str):
             object.__setattr__(self, "lock", locks_from_text(self.lock))
         if self.gravity is not None:
@@ -311,7 +316,7 @@ class ReadingOptions:
         check_ranges(self)
 
 
-def _make_windows(
+def make_windows(
     given: Sequence[tuple[float, float]] | str,
 ) -> tuple[tuple[float, float], ...]:
     """Return windows, of their text too; raises `UsageError` for what is no segment of time."""
