@@ -27,7 +27,11 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "joints_correlated": ("poorly_determined",),
         "link_mass_differs": CAUSES,
         "not_excited": ("joint_without_torque",),
-        "payload_in_log": ("does_not_generalise", "cad_predicts_better"),
+        **dict.fromkeys(
+            ("does_not_generalise", "cad_predicts_better", "error_at_standstill"),
+            ("payload_in_log",),
+        ),
+        "joint_masses_differ": ("payload_in_log",),
     }
 )
 """Findings that follow from another one, or repeat it; with it they are good to know only."""

@@ -113,6 +113,8 @@ def report_carried_load(validation: Validation) -> Iterator[Finding]:
         "warning",
         f"{recording_name(validation.source)} {validation.load.text}",
         Cure("identify the payload, and validate on a log without it", call="identify_payload"),
+        torque=1.0
+        - (validation.load.relative_error / validation.metrics_as_built.relative_error) ** 2,
     )
 
 

@@ -143,11 +143,13 @@ def decide_joints(
     which the norm over all joints hides where others carry more. Recordings with a load that the
     model lacks do not count.
     """
+    loaded = {validation.source for validation in validations if validation.load is not None}
     validations = [validation for validation in validations if validation.load is None]
     metrics = [
         validation.metrics_exported or validation.metrics_as_built for validation in validations
     ]
-    metrics = metrics or [*result.validation] or [result.train]
+    metrics = metrics or [each for each in result.validation if each.source not in loaded]
+    metrics = metrics or [result.train]
     counts = np.array([[metric.n_samples] for metric in metrics])
     rms = np.array([metric.rms for metric in metrics])
     shares = np.array([metric.relative_error_per_joint for metric in metrics])
