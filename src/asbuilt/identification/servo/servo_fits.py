@@ -22,7 +22,12 @@ from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.servo.servo_replay import Replay
-from asbuilt.identification.servo.servo_rows import block_variances, block_weights, sum_clusters
+from asbuilt.identification.servo.servo_rows import (
+    block_energies,
+    block_variances,
+    block_weights,
+    sum_clusters,
+)
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors
 from asbuilt.identification.uncertainty.pose_noise import DOUBT
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
@@ -289,7 +294,7 @@ def fit_delay(
         for k, residual in enumerate(residuals):
             # Noise variances of joints and weights of blocks follow from the residual in turn.
             own = block_weights(rows, k, residual)
-            energy = float(residual @ rows.of_joint(k, own) @ residual)
+            energy = float(own @ block_energies(rows, k, residual))
             scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
             weight[k] = own * scale[k]
     # The row of the delay, given everything that is not at a bound.

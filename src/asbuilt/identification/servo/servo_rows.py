@@ -323,12 +323,23 @@ def logarithmic_error(costs: Callable[[float], Array], value: float, rows: Equat
     return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
 
 
+def block_energies(rows: Equations, k: int, residual: Array) -> Array:
+    """Return the square in each block of a combination of joint k's rows (B,).
+
+    It is not known to be smaller than what rounding leaves of it: where rows excite little, large
+    coefficients cancel, and a square of zero would have all of the weight.
+    """
+    size = np.abs(residual)
+    rounding = np.finfo(float).eps * np.einsum("i,bij,j->b", size, np.abs(rows.grams[k]), size)
+    return np.asarray(np.maximum(rows.energies(k, residual), rounding))
+
+
 def block_variances(rows: Equations, k: int, residual: Array) -> Array:
     """Return the mean square in each block of a combination of joint k's rows (B,), NaN if few."""
     count = rows.counts[k]
     # The mean of few rows is mostly their fit.
     many = count >= BLOCKS.fewest
-    return np.where(many, rows.energies(k, residual) / np.maximum(count, 1), np.nan)
+    return np.where(many, block_energies(rows, k, residual) / np.maximum(count, 1), np.nan)
 
 
 def block_weights(rows: Equations, k: int, residual: Array) -> Array:
