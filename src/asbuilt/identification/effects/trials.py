@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices, Mask
@@ -203,7 +203,7 @@ class Trials:
         tiny = np.finfo(np.float64).tiny
         least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
         self._rms = np.maximum(rms, least)
-        self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
+        self._factored: dict[tuple[int, bytes], tuple[Array, Array]] = {}
         self.taken: list[Candidate] = []
 
     @cached_property
@@ -366,17 +366,20 @@ class Trials:
         key = (id(gram), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
-            factor = cho_factor(self._build_normal(gram, inside)[0])
+            root, failed = lapack.dpotrf(self._build_normal(gram, inside)[0], overwrite_a=True)
+            if failed:
+                raise np.linalg.LinAlgError("normal equations of effects are singular")
             b = gram[inside, -1].copy()
-            model = np.flatnonzero(inside < self.n_base)
+            model = inside < self.n_base
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
-            self._factored[key] = factor, cho_solve(factor, b)
-        factor, solution = self._factored[key]
+            self._factored[key] = root, lapack.dpotrs(root, b)[0]
+        root, solution = self._factored[key]
         residual = np.zeros(P + 1)
         moves = np.zeros((P + 1, len(columns)))
         # tau - W x: minus the values, and one for the torque.
         residual[inside], residual[-1] = -solution, 1.0
-        moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
+        if len(columns):
+            moves[inside] = lapack.dpotrs(root, gram.take(inside, 0).take(columns, 1))[0]
         # Moves end with the column itself: what of it the parameters inside do not follow.
         moves[columns, np.arange(len(columns))] -= 1.0
         # Schur complement and score of the columns given the parameters inside.
@@ -384,10 +387,11 @@ class Trials:
 
     def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        model = np.flatnonzero(inside < self.n_base)
         prior = np.zeros((len(inside),) * 2)
-        prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
-        A = gram[np.ix_(inside, inside)] + prior
+        # The model's own parameters stand first.
+        own = inside[inside < self.n_base]
+        prior[: len(own), : len(own)] = self.prior.information.take(own, 0).take(own, 1)
+        A = gram.take(inside, 0).take(inside, 1) + prior
         # On the diagonal relative to it, so that units do not matter; prior-free columns stay
         # regular.
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
@@ -541,7 +545,7 @@ def _expand_squares(
         kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
         # Rows of zero coefficients are most of a block, and cost nothing when passed over.
         at = places[kept]
-        part = gram[np.ix_(kept, kept)]
+        part = gram.take(kept, 0).take(kept, 1)
         r = fit.residual[at]
         M = fit.moves[at]
         felt = M.T @ part
