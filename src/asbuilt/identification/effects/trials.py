@@ -178,22 +178,7 @@ class Trials:
         length = np.diag(self._total)
         self._size = np.sqrt(length)
         self._acts = length > RULES.acting * _find_largest(candidates, length)
-        # The training equations are the total less the group's: leaving out costs no pass.
-        self._without = [self._total - equations.stacked(weights, group) for group in groups]
-        self._of_joints = [
-            [
-                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
-                for support, gram in zip(equations.support, equations.grams, strict=True)
-            ]
-            for group in groups
-        ]
-        self._torque = np.array(
-            [[gram[-1, -1] for _, gram in joints] for joints in self._of_joints]
-        )
-        """Squared torque of each held-out group and joint."""
-        every = np.arange(equations.n_columns + 1)
-        blocks = range(equations.n_blocks)
-        self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
+        self._groups = groups
         self._place = np.full((equations.n_joints, equations.n_columns), -1)
         for place, support in zip(self._place, equations.support, strict=True):
             place[support] = np.arange(len(support))
@@ -205,6 +190,43 @@ class Trials:
         self._rms = np.maximum(rms, least)
         self._factored: dict[tuple[int, bytes], tuple[Array, Array]] = {}
         self.taken: list[Candidate] = []
+
+    # What only trials ask is derived by the first one: a search settles values without any.
+
+    @cached_property
+    def _without(self) -> list[Array]:
+        """The training equations of each group: the total less the group's, without a pass."""
+        stacked = self.equations.stacked
+        return [self._total - stacked(self.weights, group) for group in self._groups]
+
+    @cached_property
+    def _of_joints(self) -> list[list[tuple[Indices, Array]]]:
+        """Places and Gram matrix of each joint on each group."""
+        equations = self.equations
+        return [
+            [
+                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
+                for support, gram in zip(equations.support, equations.grams, strict=True)
+            ]
+            for group in self._groups
+        ]
+
+    @cached_property
+    def _torque(self) -> Array:
+        """Squared torque of each held-out group and joint."""
+        return np.array([[gram[-1, -1] for _, gram in joints] for joints in self._of_joints])
+
+    @cached_property
+    def _blocks(self) -> list[tuple[Indices, Array]]:
+        """Places and weighted Gram matrix of all joints of each block."""
+        every = np.arange(self.equations.n_columns + 1)
+        return [(every, gram) for gram in self.equations.stacked_blocks(self.weights)]
+
+    @cached_property
+    def _halves(self) -> list[Array]:
+        """Weighted Gram matrix of all joints on each half of the blocks."""
+        halves = np.array_split(np.arange(self.equations.n_blocks), 2)
+        return [self.equations.stacked(self.weights, half) for half in halves]
 
     @cached_property
     def _apart(self) -> Array:
@@ -298,14 +320,8 @@ class Trials:
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
         x = self.values_of([candidate])[0]
-        blocks = np.arange(self.equations.n_blocks)
-        found = []
-        for half in np.array_split(blocks, 2):
-            gram = self.equations.stacked(self.weights, half)
-            fit = self._fit(gram, inside, candidate.places)
-            found.append(float(2.0 * fit.score @ x - x @ fit.schur @ x))
-            self._factored.pop((id(gram), inside.tobytes()))
-        return found
+        fits = (self._fit(gram, inside, candidate.places) for gram in self._halves)
+        return [float(2.0 * fit.score @ x - x @ fit.schur @ x) for fit in fits]
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""
