@@ -11,14 +11,11 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import lazy_loader
 
 from asbuilt.errors import UsageError
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoints
 
 T = TypeVar("T")
 
@@ -193,8 +190,11 @@ class Registry(Mapping[str, T]):
 
 
 @cache
-def _read_entry_points() -> EntryPoints:
-    """Return the entry points of all distributions, whose files take longer than most imports."""
+def _read_entry_points() -> Any:
+    """Return the entry points of all distributions, whose files take longer than most imports.
+
+    Their class is not the same in all versions of Python; each selects a group.
+    """
     from importlib.metadata import entry_points  # noqa: PLC0415 - slow
 
     return entry_points()
