@@ -11,11 +11,14 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import lazy_loader
 
 from asbuilt.errors import UsageError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 T = TypeVar("T")
 
@@ -184,20 +187,17 @@ class Registry(Mapping[str, T]):
         # An app's modules stand among the core's as if they were in its package.
         for name in sorted(below, key=lambda name: name.removeprefix(below[name])):
             import_module(name)
-        entries = _read_entry_points().select(group=self.group)
+        entries = _select_entry_points()(group=self.group)
         for entry in sorted(entries, key=lambda entry: entry.name):
             entry.load()
 
 
 @cache
-def _read_entry_points() -> Any:
-    """Return the entry points of all distributions, whose files take longer than most imports.
-
-    Their class is not the same in all versions of Python; each selects a group.
-    """
+def _select_entry_points() -> Callable[..., EntryPoints]:
+    """Return what selects entry points, of files that take longer to read than most imports."""
     from importlib.metadata import entry_points  # noqa: PLC0415 - slow
 
-    return entry_points()
+    return entry_points().select
 
 
 def _list_modules(place: str) -> list[str]:

@@ -267,6 +267,11 @@ class IdentificationResult:
         return str(self.summary()._repr_html_())
 
     @property
+    def decided_by_motion(self) -> bool:
+        """Whether simulated motion decides its use, since no torque was measured."""
+        return self.servo is not None
+
+    @property
     def robot(self) -> str:
         """Name of the robot."""
         return self.model.name

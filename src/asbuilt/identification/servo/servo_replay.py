@@ -106,8 +106,8 @@ def replay(
     roughly
         With one pair of noise and its negative alone.
     """
-    # A free base falls otherwise after a second: no replay stays near the recording.
-    if model.n_floating:
+    # What nothing drives falls otherwise after a second: no replay stays near the recording.
+    if len(model.driven_joints) < model.n_joints:
         return None
     total = sum(recording.n_samples for recording in recordings)
     pairs = 1 if roughly else min(max(round(REPLAY_SAMPLES / (2 * total)), 1), REPLAY_MOST_PAIRS)
