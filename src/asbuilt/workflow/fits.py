@@ -269,7 +269,9 @@ def _fit_all(
             if not better:
                 break
             kind = better
-        left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
+        left_out = _leave_out(
+            final, prepared, options, lambda others: fitted(others, choice.drive, kind)
+        )
         return Fits(
             model, prepared, final, validated, choice, effects, flat, servo, None, left_out=left_out
         )

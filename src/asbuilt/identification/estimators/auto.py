@@ -282,14 +282,16 @@ def _fit_candidates(
             weights,
             lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
         )
-    for weight in weights:
+    for k, weight in enumerate(weights):
         name = f"entropic (weight {weight:.3g})"
+        # From the weakest, which every fit has: other samples support other strong ones.
+        kind = f"entropic {len(weights) - k}"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
         if weight in rough:
             # The last row is the fit to all blocks.
             *folds, whole = rough[weight] @ K.T
             candidates.known.append(
-                Candidate(name, weight, np.array(folds), fit=fit, kind="entropic", beta=whole)
+                Candidate(name, weight, np.array(folds), fit=fit, kind=kind, beta=whole)
             )
         else:
             candidates.failed.append(name)
