@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -311,6 +311,27 @@ def bound_effects(
             )
         )
     return tuple(found)
+
+
+def list_open(
+    result: IdentificationResult, effects: Iterable[FoundEffect]
+) -> Iterator[FoundEffect]:
+    """Yield effects in the model whose drive parameters may all be zero, as far as is determined.
+
+    One that other parameters replace unseen is not among them: whether it is there is no question
+    that the torques could answer, and it is told with what it is confounded with.
+    """
+    for effect in effects:
+        term = next((term for term in result.base.drive.terms if term.key == effect.effect), None)
+        if not effect.in_model or effect.joint is None or term is None:
+            continue
+        intervals = [
+            feasible_interval(result, symbol, effect.joint)
+            for symbol in term.symbols
+            if _of_joint(result, symbol, effect.joint)
+        ]
+        if intervals and all(each.holds(0.0) and not each.confounded_with for each in intervals):
+            yield effect
 
 
 def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[str, float] | None:
