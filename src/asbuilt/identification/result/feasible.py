@@ -176,7 +176,7 @@ def feasible_intervals(
     Of all bodies whose pseudo-inertias are positive semidefinite, with passive drives, that have
     base parameters within the 95 % region of the estimate: convex programs, exact to the solver's
     tolerance. The region is that of the weighted least squares, not regularised toward CAD, with
-    errors that include lack of fit and bias.
+    errors that include lack of fit and bias. The exported robot is one of these bodies.
 
     Parameters
     ----------
@@ -295,15 +295,21 @@ def bound_effects(
         greatest = interval.greatest - own[1]
         if effect.effect == "payload":
             least = max(least, 0.0)  # what is added has a mass
-        chosen = effect.estimate if effect.effect in BODIES else interval.chosen or 0.0
+        chosen = interval.chosen
+        if effect.effect in BODIES:
+            # The other masses by CAD: one of the robots that the log allows, too.
+            chosen = effect.estimate
+            least = min(least, chosen)
+            greatest = max(greatest, chosen)
         before = f"{format_plus_minus(effect.estimate, effect.std_error)} {effect.unit}"
         size = format_range(least, greatest, effect.unit)
-        size += f", {_describe_chosen(chosen, least, greatest)}"
+        if chosen is not None:
+            size += f", {_describe_chosen(chosen, least, greatest)}"
         end = f": {effect.improvement}"
         found.append(
             replace(
                 effect,
-                estimate=chosen,
+                estimate=effect.estimate if chosen is None else chosen,
                 std_error=None,
                 feasible=(least, greatest),
                 confounded_with=interval.confounded_with or interval.without_effect,
@@ -406,26 +412,25 @@ def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion
         root,
         bound_with_certainty(cad),
         float(chdtri(1 if region == "each" else len(root), USUAL_ALPHA)),
+        _find_chosen(result),
     )
 
 
 def _describe_chosen(chosen: float, least: float, greatest: float) -> str:
-    """Return the value of the exported robot, and whether it lies beyond what the log allows.
-
-    A robot that was held near CAD, or made consistent, may leave the region of the estimate.
-    """
+    """Return the value of the exported robot, and whether stated bounds exclude it."""
     beyond = max(least - chosen, chosen - greatest)
     # Ends are bounds of a solver: a hundredth of the value is no contradiction.
-    outside = " beyond it" if beyond > 0.01 * abs(chosen) else ""
+    outside = ", which what is stated excludes" if beyond > 0.01 * abs(chosen) else ""
     return f"chosen {round_significant(chosen)}{outside}"
 
 
 def _find_chosen(result: IdentificationResult) -> Array | None:
     """Return the standard parameters of the exported robot; None if there is none."""
     try:
-        return as_built_parameters(result).parameters
+        found = as_built_parameters(result)
     except IdentifiabilityError:
         return None
+    return found.parameters if found.consistent else None
 
 
 def _read_cad(result: IdentificationResult) -> Array:
