@@ -130,7 +130,9 @@ class FeasibleRegion:
         if self.chosen is None or not self.holds(self.chosen):
             return least, greatest
         # The least of a convex set and a point is that of either, for ratios, too.
-        own = float(value @ self.chosen) / (1.0 if divisor is None else divisor @ self.chosen)
+        own = float(value @ self.chosen)
+        if divisor is not None:
+            own /= float(divisor @ self.chosen)
         return min(least, own), max(greatest, own)
 
     def holds(self, parameters: Array) -> bool:
