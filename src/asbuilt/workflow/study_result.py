@@ -30,6 +30,7 @@ from asbuilt.identification.uncertainty.bias import (
     report_position_noise,
 )
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
+from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
 from asbuilt.validation.generalisation.coverage import (
@@ -135,7 +136,11 @@ def conclude_study(
     validations = tuple(
         with_exported(result.without_recording(number), prediction, samples)
         if number < len(prepared.held_out)
-        else with_exported(result.of_training, prediction, samples)
+        else with_exported(
+            result.of_training,
+            replace(prediction, load=find_carried_load(result.of_training, samples)),
+            samples,
+        )
         for number, (prediction, samples) in enumerate(zip(validations, held, strict=True))
     )
     findings = (

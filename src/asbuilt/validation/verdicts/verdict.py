@@ -197,6 +197,8 @@ def _word_motion(
     # Every recording repeats the training motion: it is the same one.
     if repeated and repeated >= len(sources):
         return "the same motion"
+    if validations and all(validation.load is not None for validation in validations):
+        return "motion under load"
     # A recording that is left out whole is another motion; a part of one belongs to its motion.
     part = result.holdout != RECORDINGS
     held = all(source.endswith(f"{HELD_OUT}{result.holdout}") for source in sources)
