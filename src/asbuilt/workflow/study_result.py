@@ -19,6 +19,7 @@ from asbuilt.identification.effects.effect_findings import (
     as_identified,
     describe_stated,
     report_effects,
+    report_springs_alike,
 )
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.equations import CauseData, gather_cause_data
@@ -31,6 +32,7 @@ from asbuilt.identification.uncertainty.bias import (
     doubt_driving_friction,
     report_position_noise,
 )
+from asbuilt.identification.uncertainty.foot_moments import FootMoments, find_foot_moments
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
@@ -41,7 +43,6 @@ from asbuilt.validation.generalisation.coverage import (
 )
 from asbuilt.validation.generalisation.generalisation import (
     check_validations,
-    report_foot_moments,
     report_nameless,
     report_unexplained,
 )
@@ -127,7 +128,9 @@ def conclude_study(
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
     # Bias by effects that are not in the model widens the errors of the result.
-    omitted = _join_biases(fits.final.omitted, _doubt_friction(fits.final))
+    feet = _find_foot_moments(fits)
+    of_feet = None if feet is None else feet.omitted(fits.final.information, fits.final.estimate)
+    omitted = _join_biases(_join_biases(fits.final.omitted, _doubt_friction(fits.final)), of_feet)
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
         *(as_identified(effect, fits.final, result) for effect in named),
@@ -176,7 +179,7 @@ def conclude_study(
         *report_cad_verdicts(validations),
         *report_springs(result),
         *leg_findings(result, fits.samples),
-        *report_foot_moments(result, fits.samples),
+        *([] if feet is None else [feet.finding]),
     )
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
@@ -195,6 +198,11 @@ def _doubt_friction(fit: Fit) -> OmittedBias | None:
     if fit.uncertainty.basis.asked == "textbook":
         return None
     return doubt_driving_friction(fit.information, fit.estimate)
+
+
+def _find_foot_moments(fits: Fits) -> FootMoments | None:
+    final = fits.final
+    return find_foot_moments(fits.model, final.information, final.estimate, fits.samples)
 
 
 def _join_biases(first: OmittedBias | None, second: OmittedBias | None) -> OmittedBias | None:
@@ -234,6 +242,7 @@ def _report_model(
     return (
         *report_plateaus(fits.model, fits.plateaus),
         *_report_effects(fits.effects, options),
+        *report_springs_alike(result),
         *([GAINS_ASSUMED] if any(s.torque_source == "current" for s in fits.samples) else []),
         *report_position_noise(
             result,
