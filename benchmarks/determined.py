@@ -18,20 +18,19 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
 from asbuilt import RobotModel, identify, load_robot, random_fourier
 from asbuilt.identification import IdentificationResult, feasible_intervals
 from lacking import PLANAR, Trial, trials
+from measurements import Run, count, resume
 from outside_robot import Array, OutsideRobot, Sensors, other_bodies
-from resumed import Run, resume
 from sound_logs import false_errors
 
 MAKES = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "so-101", "scara")
@@ -175,14 +174,6 @@ def intervals_of(task: tuple[str, int]) -> dict[str, Any]:
         "errors": dict(zip(result.base.names, errors.tolist(), strict=True)),
         "seconds": time.process_time() - started,
     }
-
-
-def count(held: Sequence[bool]) -> str:
-    """Return a share with its 95 % interval by Clopper and Pearson, such as `.95 (.91 to .98)`."""
-    k, n = int(np.sum(held)), len(held)
-    least = beta.ppf(0.025, k, n - k + 1) if k else 0.0
-    greatest = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
-    return f"{k} of {n}, {k / n:.3f} ({least:.3f} to {greatest:.3f})"
 
 
 def intervals(robots: int, run: Run, out: Path | None) -> None:

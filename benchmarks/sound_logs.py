@@ -21,8 +21,8 @@ from asbuilt.description.model import JointLimits, RobotModel
 from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
+from measurements import Run, count, resume
 from outside_robot import OutsideRobot, Sensors, other_bodies, with_body
-from resumed import Run, resume
 
 MAKES = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "scara", "so-101")
 RATE = 200.0
@@ -168,7 +168,7 @@ def false_errors(robots: int, run: Run, out: Path | None) -> None:
         tasks = [(MAKES[k // len(cases) % len(MAKES)], cases[k % len(cases)], k) for k in range(n)]
         path = None if out is None else out / "sound_logs.jsonl"
         found = list(resume(path, tasks, check_sound, run))
-        print(f"{title}: {sum(bool(each['errors']) for each in found)} of {n}")
+        print(f"{title}: {count([bool(each['errors']) for each in found])}")
         for case in cases:
             own = [each for each in found if each["case"] == case]
             codes = Counter(code for each in own for code in each["errors"])

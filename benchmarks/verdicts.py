@@ -41,6 +41,7 @@ from asbuilt.workflow.study_options import ValidationOptions
 from asbuilt.workflow.validation import validate
 from drive_terms import SHARED
 from effects import case
+from measurements import count
 from other_motions import REPEATED
 from recorded_robots import ROBOTS, SINGLE, recorded_robots, sets_of
 
@@ -212,7 +213,10 @@ def report(rows: Sequence[Row]) -> dict[str, float]:
         part = [each for each in whole if (each.group in SETTLED_ON) == wanted]
         print(f"{kind}: {len({each.case for each in part})} models, {len(part)} other motions")
         true = sum(each.right for each in part)
-        print(f"    the first line is true in {true} ({100 * true / max(len(part), 1):.0f} %)")
+        if part:
+            print(f"    the first line is true in {count([each.right for each in part])}")
+            tested = [each.ratio <= TRUSTED for each in part if each.use != "untested"]
+            print(f"    the promise alone holds in {count(tested)}")
         numbers[f"{kind} right"] = true
         for use in ("yes", "with care", "untested", "no"):
             some = [each for each in part if each.use == use]
