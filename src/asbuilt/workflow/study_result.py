@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,14 +25,12 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.equations import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
-from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.identification.uncertainty.bias import (
     OmittedBias,
     doubt_driving_friction,
     report_position_noise,
 )
-from asbuilt.identification.uncertainty.foot_moments import FootMoments, find_foot_moments
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
@@ -51,8 +49,10 @@ from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
-from asbuilt.workflow.servo import describe_servo_torque, report_servo
 from asbuilt.workflow.study_options import StudyOptions
+
+if TYPE_CHECKING:
+    from asbuilt.identification.uncertainty.foot_moments import FootMoments
 
 GAINS_ASSUMED = Finding(
     "gains_assumed",
@@ -106,8 +106,11 @@ def conclude_study(
     named = tuple(
         effect for effect in fits.effects.found if options.wanted_effects.named or effect.in_model
     )
-    conclude = partial(
-        Fit.concluded,
+    # Bias by effects that are not in the model widens the errors of the result.
+    feet = _find_foot_moments(fits)
+    of_feet = None if feet is None else feet.omitted(fits.final.information, fits.final.estimate)
+    omitted = _join_biases(_join_biases(fits.final.omitted, _doubt_friction(fits.final)), of_feet)
+    result = replace(fits.final, omitted=omitted).concluded(
         train=train,
         cad=train_cad if decisive is None else decisive.metrics_cad,
         validation=[validation.metrics_as_built for validation in validations],
@@ -119,19 +122,13 @@ def conclude_study(
         notes=(
             *describe_known_masses(fits.model),
             *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
-            *describe_servo_torque(fits.model, fits.servo),
+            *fits.source.sentences(fits.model),
         ),
-        servo=None if fits.servo is None else fits.servo.servo,
-        servo_errors=None if fits.servo is None else fits.servo.errors,
+        **fits.source.of_result,
         encoders=fits.encoders,
         # Values that have not seen what was held out are stored, for later validation on it.
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
-    # Bias by effects that are not in the model widens the errors of the result.
-    feet = _find_foot_moments(fits)
-    of_feet = None if feet is None else feet.omitted(fits.final.information, fits.final.estimate)
-    omitted = _join_biases(_join_biases(fits.final.omitted, _doubt_friction(fits.final)), of_feet)
-    result = conclude(replace(fits.final, omitted=omitted))
     effects = (
         *(as_identified(effect, fits.final, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
@@ -178,9 +175,14 @@ def conclude_study(
         *_report_model(fits, result, attribution, options),
         *report_cad_verdicts(validations),
         *report_springs(result),
-        *leg_findings(result, fits.samples),
-        *([] if feet is None else [feet.finding]),
     )
+    if mixed:
+        from asbuilt.identification.result.legs import (  # noqa: PLC0415 - light start
+            with_leg_findings,
+        )
+
+        of_moments = () if feet is None else (feet.finding,)
+        findings = (*with_leg_findings(findings, result, fits.samples), *of_moments)
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
     # What was validated decides which joint's error matters, training only without it.
@@ -201,6 +203,12 @@ def _doubt_friction(fit: Fit) -> OmittedBias | None:
 
 
 def _find_foot_moments(fits: Fits) -> FootMoments | None:
+    if not fits.model.mixes_joints:
+        return None
+    from asbuilt.identification.uncertainty.foot_moments import (  # noqa: PLC0415 - light start
+        find_foot_moments,
+    )
+
     final = fits.final
     return find_foot_moments(fits.model, final.information, final.estimate, fits.samples)
 
@@ -250,7 +258,7 @@ def _report_model(
             [check.position_noise for check in prepared.checks],
             prepared.chain.cutoff if prepared.chain else None,
         ),
-        *report_servo(fits.model, fits.servo, fits.choice.drive),
+        *fits.source.findings(fits.model, fits.choice.drive),
         *(fits.refined.findings() if fits.refined else ()),
         # Without CAD masses there is nothing that could have caused a difference.
         *(report_causes(attribution, fits.model) if fits.model.has_masses else ()),

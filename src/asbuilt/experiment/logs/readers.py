@@ -12,7 +12,6 @@ import numpy as np
 from asbuilt.description.joint_matching import names_gripper
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.columns import add_base_coordinates, with_base_columns
 from asbuilt.experiment.logs.assembly import (
     FILE_QUANTITIES,
     apply_sheet,
@@ -90,7 +89,8 @@ def with_joint_units(
         for quantity, shift in shifts.items():
             if quantity in layout.quantities:
                 column = layout.quantities[quantity][k]
-                scales[column], offsets[column] = factor, shift
+                scales[column] = factor
+                offsets[column] = shift
     return replace(layout, scales=scales, offsets=offsets)
 
 
@@ -104,7 +104,8 @@ def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
     """Return factor and offset that turn a number of the log into SI."""
     if isinstance(unit, str):
         return parse_unit_scale(unit) or 1.0, 0.0
-    (first, last), (lower, upper) = unit.logged, unit.position
+    first, last = unit.logged
+    lower, upper = unit.position
     factor = (upper - lower) / (last - first)
     return factor, lower - factor * first
 
@@ -222,6 +223,11 @@ def read_recording(
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
+    from asbuilt.experiment.free_base.columns import (  # noqa: PLC0415 - light start
+        add_base_coordinates,
+        with_base_columns,
+    )
+
     recording, sensor = with_base_columns(recording, table, sheet, model)
     recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
     return add_base_coordinates(recording, model, sensor)

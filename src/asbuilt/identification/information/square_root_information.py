@@ -117,7 +117,7 @@ class SquareRootInformation:
 
     @property
     def mixed(self) -> bool:
-        """Whether every row has a part of every joint's equation, as without contact forces."""
+        """Whether every row has a part of every joint's equation, as without reactions."""
         # A single joint has every parameter without any mixing.
         whole = all(len(support) == self.base.n_base for support in self.support)
         return whole and self.n_joints > 1 and self.base.n_base > 0
@@ -377,7 +377,8 @@ class _Gathering:
         if len(self.blocks) > 2 * MOST_BLOCKS:
             # Blocks of twice the length: all are added again, and each joins its neighbour.
             self.seconds *= 2.0
-            blocks, self.blocks = self.blocks, []
+            blocks = self.blocks
+            self.blocks = []
             for each in blocks:
                 self.add(each)
 

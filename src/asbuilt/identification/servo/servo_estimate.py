@@ -88,7 +88,7 @@ def _read_limit(goal: GoalLimit | None) -> float:
 
 
 def _refuse_stiffness(model: RobotModel, servo: PositionServo, shared: bool) -> None:
-    """Raise `UsageError` where no stiffness is above zero, or contacts mix unknown ones."""
+    """Raise `UsageError` where no stiffness is above zero, or reactions mix unknown ones."""
     unknown = np.isnan(servo.kp)
     if not np.any(servo.kp):
         raise UsageError(
@@ -97,7 +97,8 @@ def _refuse_stiffness(model: RobotModel, servo: PositionServo, shared: bool) -> 
             cure=Cure("state the stiffness that the servos have", {"kp": "LIST"}),
             value=0.0,
         )
-    if model.contacts and unknown.any() and not (shared and unknown[model.n_floating :].all()):
+    driven = unknown[model.driven_joints]
+    if model.has_reactions and unknown.any() and not (shared and driven.all()):
         raise UsageError(
             f"{model.name} touches the ground, whose forces mix the joints, so that a stiffness of"
             f" each ({int(unknown.sum())} are unknown) does not follow from commands",
@@ -331,15 +332,15 @@ def _alternate(
             # The scale is that of the links: drives are free columns of their own.
             links = design.parameters.copy()
             links[10 * model.n_links :] = 0.0
-            # Signals at contacts are multiplied by their gains already, before the projection.
-            own_kd = (1.0,) * unknown.size if model.contacts else servo.kd
+            # Signals that are projected are multiplied by their gains already.
+            own_kd = (1.0,) * unknown.size if model.has_reactions else servo.kd
             scale = find_scale(rows, base, links, own_kd, unknown, shared=shared)
             # An undetermined stiffness has an infinite error; any finite value lets the fit go on.
             kp = np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), kp)
         gains = kp.tolist(), kd
-        if model.contacts:
+        if model.has_reactions:
             gains = np.where(unknown, kp, 1.0).tolist(), [1.0] * len(kd)
-        doubt = _doubt_ratios(scale, unknown, asked=shared)
+        doubt = _doubt_ratios(scale, unknown)
         found = fit_delay(rows, base, design, *gains, doubt, replayed)
         if not free_delay:
             break
@@ -351,24 +352,20 @@ def _alternate(
         # Closer than a twentieth of its own error no delay is known.
         if abs(step) < max(SERVO_CONVERGENCE, 0.05 * error):
             break
-    if scale is not None:
-        # A fit of one robot to all joints knows their ratios; the scale of all stays that of CAD.
-        kp = np.where(np.isfinite(scale.kp), kp * found.ratios, kp)
+    # A fit of one robot to all joints knows their ratios; the scale of all stays that of CAD.
+    kp = kp * found.ratios
     settled = replace(servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
     return _Settled(settled, error, rows, scale, found, tuple(gains[0]))
 
 
-def _doubt_ratios(scale: ServoScale | None, unknown: Mask, *, asked: bool) -> Array:
+def _doubt_ratios(scale: ServoScale | None, unknown: Mask) -> Array:
     """Return the relative standard error (n,) of each stiffness beside the others', 0 if known.
 
-    Servos that are stated to be of one stiffness have a known ratio.
+    Servos of one stiffness have a known ratio; others are determined, each by CAD.
     """
-    if scale is None or asked:
+    if scale is None or scale.shared:
         return np.zeros(unknown.size)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        relative = scale.std_errors / scale.kp
-    # A stiffness that nothing determines was set to 1: it is known to its size at best.
-    return np.where(unknown, np.where(np.isfinite(relative), relative, 1.0), 0.0)
+    return np.where(unknown, scale.std_errors / scale.kp, 0.0)
 
 
 def _take_secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:

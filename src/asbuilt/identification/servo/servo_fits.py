@@ -22,7 +22,12 @@ from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.servo.servo_replay import Replay
-from asbuilt.identification.servo.servo_rows import block_variances, block_weights, sum_clusters
+from asbuilt.identification.servo.servo_rows import (
+    block_energies,
+    block_variances,
+    block_weights,
+    sum_clusters,
+)
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors
 from asbuilt.identification.uncertainty.pose_noise import DOUBT
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
@@ -76,7 +81,7 @@ def find_scale(
     drives zero); armature and friction of the joint are free and have no scale. There is no
     constant torque: a servo has none, and over a small range of motion gravity is almost constant,
     so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with
-    their residual variance r, so that contact does not count. The stiffness is shared by all
+    their residual variance r, so that collisions do not count. The stiffness is shared by all
     unknown joints if asked, or if some joint's rows do not determine its own.
 
     Raises nothing: a stiffness that nothing determines has an infinite standard error.
@@ -95,7 +100,8 @@ def find_scale(
         mean = float(np.sum(weight[good] * c[good]) / np.sum(weight))
         # Joints that scatter beyond their errors raise the error of their mean (ratio of Birge).
         spread = np.sum(weight[good] * (c[good] - mean) ** 2) / max(np.count_nonzero(good) - 1, 1)
-        c[unknown], V[unknown] = mean, max(spread, 1.0) / np.sum(weight)
+        c[unknown] = mean
+        V[unknown] = max(spread, 1.0) / np.sum(weight)
     with np.errstate(divide="ignore", invalid="ignore"):
         kp = np.where(c > 0, 1.0 / c, np.nan)
         relative = np.where(c > 0, np.sqrt(V) / c, np.inf)
@@ -117,7 +123,8 @@ def _estimate_own_scale(
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
     }
     T = np.zeros((support.size + 3, 1 + drives.shape[1]))
-    T[: support.size, 0], T[: support.size, 1:] = K @ design, drives
+    T[: support.size, 0] = K @ design
+    T[: support.size, 1:] = drives
     # Unknown damping stays in the viscous friction.
     T[support.size, 0] = np.nan_to_num(kd)
     # A joint has no columns of the drives of others.
@@ -153,7 +160,7 @@ def _estimate_own_scale(
 def _find_varying_columns(base: BaseParameters) -> Indices:
     """Return the drive columns that are no constant torque.
 
-    Rows have columns of other joints only where forces at contacts are projected away.
+    Rows have columns of other joints only where reactions are projected away.
     """
     varies = [s not in Offset.symbols for term in base.drive.terms for s in term.symbols]
     return np.flatnonzero(np.resize(varies, base.n_standard - 10 * base.n_links))
@@ -272,7 +279,8 @@ def fit_delay(
     prior[-1, -1] = 0.0
     start = np.zeros(len(prior))
     lower = np.full(len(prior), -np.inf)
-    start[links], lower[design.non_negative] = design.parameters[links], 0.0
+    start[links] = design.parameters[links]
+    lower[design.non_negative] = 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [
         np.flatnonzero(np.any(J != 0.0, axis=0) | (unsure[k] & (np.arange(p + n + 1) == p + k)))
@@ -304,7 +312,7 @@ def fit_delay(
         for k, residual in enumerate(residuals):
             # Noise variances of joints and weights of blocks follow from the residual in turn.
             own = block_weights(rows, k, residual)
-            energy = float(residual @ rows.of_joint(k, own) @ residual)
+            energy = float(own @ block_energies(rows, k, residual))
             scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
             weight[k] = own * scale[k]
     # The row of the delay, given everything that is not at a bound.
@@ -355,7 +363,8 @@ def _build_coefficients(
     # Rows are [W_k, qd, du/dt, u - q]: of du/dt and u - q the gains are coefficients.
     J[support.size + 1, -1] = kp
     torque = np.zeros(support.size + 3)
-    torque[support.size], torque[support.size + 2] = -kd, kp
+    torque[support.size] = -kd
+    torque[support.size + 2] = kp
     return J, torque
 
 
@@ -374,7 +383,8 @@ def _solve_bounded(
     x = np.zeros(len(aim))
     held = np.ones(len(aim), dtype=np.bool_)
     # Most calls keep their active bounds: one Cholesky then verifies what bvls would search.
-    x[near], held[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near]), False
+    x[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near])
+    held[near] = False
     if np.all(x[near] > lower[near]) and np.all((scaled @ x - aim)[held] >= 0.0):
         return x * scale, near
     # In the root the normal equations are a plain least-squares problem.

@@ -10,8 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.dynamics.reactions import contact_jacobians
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding

@@ -9,7 +9,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.term import Formula
 from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
@@ -48,11 +47,10 @@ class Mechanism:
     def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
         """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
         n = model.n_joints
-        self.model, self.code, self.tree = model, StraightLine(), model.tree
-        # Without couplings every joint of the tree has a coordinate of its own.
-        self.coupling = model.constant_coupling("C code") or Coupling(
-            np.arange(n), np.eye(n), np.zeros(n)
-        )
+        self.model = model
+        self.code = StraightLine()
+        self.tree = model.tree
+        self.joint_map = model.constant_map("C code")
         self.q, self.qd, self.qdd = (
             [Term(1.0, f"{array}[{j}]") if taken else ZERO for j in range(n)]
             for array, taken in (
@@ -61,8 +59,9 @@ class Mechanism:
                 ("qdd", not (at_rest or steady)),
             )
         )
-        self.link_q = self.of_links(self.q, self.coupling.offset)
-        self.link_qd, self.link_qdd = self.of_links(self.qd), self.of_links(self.qdd)
+        self.link_q = self.of_links(self.q, self.joint_map.offset)
+        self.link_qd = self.of_links(self.qd)
+        self.link_qdd = self.of_links(self.qdd)
         self.cosine, self.sine = (
             [
                 self.code.given(f"{function}({q.written()})", q.name) if joint.is_revolute else none
@@ -76,7 +75,7 @@ class Mechanism:
 
     def of_links(self, values: list[Term], offset: float | Array = 0.0) -> list[Term]:
         """Return `E values + offset` at the joints of the tree."""
-        E = self.coupling.matrix
+        E = self.joint_map.matrix
         return [
             self.code.total(*zip(_make_vector(row), values, strict=True), (Term(float(shift)),))
             for row, shift in zip(E, np.broadcast_to(offset, len(E)), strict=True)
@@ -84,11 +83,11 @@ class Mechanism:
 
     def of_joints(self, torques: list[Term]) -> list[Term]:
         """Return `E^T torques` at the joints that have a drive."""
-        return [*self._multiply(_make_matrix(self.coupling.matrix.T), torques)]
+        return [*self._multiply(_make_matrix(self.joint_map.matrix.T), torques)]
 
     def of_tree(self, parameters: Array) -> Array:
         """Return inertial parameters (10 n_links,) in the order of the tree, (n_links, 10)."""
-        return self.coupling.parameters(parameters.reshape(-1, 10))
+        return self.joint_map.parameters(parameters.reshape(-1, 10))
 
     def torques(self, parameters: Array) -> list[Term]:
         """Return the torque of each joint for inertial parameters of shape (10 n_links,)."""
@@ -183,7 +182,7 @@ class Mechanism:
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
         screws = self._derive_screws()
-        place = np.argsort(self.coupling.order)
+        place = np.argsort(self.joint_map.order)
         entries = {}
         for position, column in enumerate(columns):
             link, parameter = divmod(column, 10)
@@ -224,7 +223,9 @@ class Mechanism:
                 a,
             )
         else:
-            swing, (wx, wy, _), twice = self._derive_swing(at), at.w, Term(2.0)
+            swing = self._derive_swing(at)
+            wx, wy, _ = at.w
+            twice = Term(2.0)
             # a' = a + U q z + 2 w x v z + dv z
             coriolis = ((twice, wy, v), (-twice, wx, v), (dv,))
             turned = replace(
@@ -238,7 +239,9 @@ class Mechanism:
 
     def _derive_swing(self, motion: Motion) -> Matrix:
         """Return `[dw]x + [w]x [w]x`, the acceleration of a point per its position."""
-        (x, y, z), (dx, dy, dz), total = motion.w, motion.dw, self.code.total
+        x, y, z = motion.w
+        dx, dy, dz = motion.dw
+        total = self.code.total
         return (
             # U = [dw]x + w w^T - (w . w) 1, entry by entry.
             (total((-y, y), (-z, z)), total((x, y), (-dz,)), total((x, z), (dy,))),
@@ -271,7 +274,8 @@ class Mechanism:
         if self.tree.joints[j].is_revolute:
             force = self._turn(j, wrench.linear, back=True)
             return Spatial(self._turn(j, wrench.angular, back=True), force)
-        (fx, fy, _), (nx, ny, nz) = wrench.linear, wrench.angular
+        fx, fy, _ = wrench.linear
+        nx, ny, nz = wrench.angular
         q = self.link_q[j]
         total = self.code.total
         # n' = n + q z x f
@@ -334,7 +338,8 @@ class Mechanism:
         """Carry a motion over the motion of joint j."""
         if self.tree.joints[j].is_revolute:
             return Spatial(self._turn(j, screw.angular), self._turn(j, screw.linear))
-        (zx, zy, _), (mx, my, mz) = screw.angular, screw.linear
+        zx, zy, _ = screw.angular
+        mx, my, mz = screw.linear
         q = self.link_q[j]
         total = self.code.total
         # m + z x q e_z

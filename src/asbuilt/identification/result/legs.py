@@ -1,8 +1,9 @@
-"""What the motion of a robot on legs determines, and which further one determines the rest."""
+"""What a robot on legs adds to findings: the motion that it lacks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.motions.on_legs import leg_motions
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.findings import Cure, Finding, join_names, undesigned
 from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
     LIMITS,
@@ -31,30 +32,39 @@ since more parameters than that are lost if a hop fails."""
 
 
 @use_one_blas_thread()
-def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tuple[Finding, ...]:
+def with_leg_findings(
+    findings: Iterable[Finding], result: IdentificationResult, samples: Sequence[Samples]
+) -> tuple[Finding, ...]:
+    """Return findings on a robot whose base moves, in its words and with what it alone has.
+
+    No motion is designed for it, so that no cure names one.
+    """
+    own = (replace(each, cure=each.cure and undesigned(each.cure)) for each in findings)
+    if result.model.n_floating != 6:
+        return tuple(own)
+    return (*own, *_advise_motion(result, samples))
+
+
+def _advise_motion(result: IdentificationResult, samples: Sequence[Samples]) -> Iterator[Finding]:
     """Say which motion of legs would determine what the samples of a result leave open.
 
     Squats, sways, turns, lifted legs and hops about the posture of the robot are compared by the
     information that 20 s of each add.
     """
-    if result.model.n_floating != 6:
-        return ()
     advice, weak = leg_advice(result, samples)
     if not advice:
-        return ()
+        return
     parts = [
         f"of {each.motion} {'would at least halve' if k == 0 else ''} the errors of"
         f" {len(each.names)} ({join_names(each.names, NAMES)})".replace("  ", " ")
         for k, each in enumerate(advice)
     ]
-    return (
-        Finding(
-            "weak_excitation",
-            "warning",
-            f"This motion leaves {weak} of {result.n_base} parameters with errors above"
-            f" {100 * LIMITS.well:g} %; {LIMITS.seconds:g} s {', and '.join(parts)}",
-            Cure("record that too, and identify from all logs together"),
-        ),
+    yield Finding(
+        "weak_excitation",
+        "warning",
+        f"This motion leaves {weak} of {result.n_base} parameters with errors above"
+        f" {100 * LIMITS.well:g} %; {LIMITS.seconds:g} s {', and '.join(parts)}",
+        Cure("record that too, and identify from all logs together"),
     )
 
 
@@ -66,7 +76,7 @@ def leg_advice(
     if not weak.size:
         return (), 0
     motions = list(leg_motions(result.model, standing_posture(samples)))
-    noise = samples[0].noise
+    logged = samples[0].reactions
     extras = (
         motion.share
         * sample_information(
@@ -74,8 +84,7 @@ def leg_advice(
             motion.q,
             motion.qd,
             motion.qdd,
-            motion.closed.astype(np.float64) if (samples[0].contact is not None) else None,
-            noise,
+            replace(logged, contact=motion.closed.astype(np.float64)) if logged else logged,
         )
         for motion in motions
     )
