@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bench import bench_problem
 from commanded import commanded_problem, rollout_errors
 from legged import against_torques, legged_problem
 from page import read_results, write_page
@@ -172,6 +173,8 @@ def _rate(problem: Problem) -> float:
 
 def problems_of(task: Task, data: Path, scratch: Path) -> list[Problem]:
     """Return the prepared problems of a task: one, two halves, or one for each virtual robot."""
+    if "pendulum" in task.settings:
+        return [bench_problem(task, scratch / "part_0")]
     if "robots" in task.settings:
         return virtual_problems(task, scratch)
     if task.kind in SPECIAL:

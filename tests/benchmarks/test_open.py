@@ -19,6 +19,7 @@ pin = pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
 from adapter import Facts  # noqa: E402
+from bench import Servo  # noqa: E402
 from commanded import windows_of  # noqa: E402
 from flyer import BASE, Flyer, described, flyer_model, projections  # noqa: E402
 from legged import against_torques, legged_problem, read_legged_log  # noqa: E402
@@ -421,3 +422,30 @@ def test_errors_of_the_twin_come_again_as_far_as_they_say() -> None:
     again = np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
     assert np.sqrt(np.mean(e**2, axis=0)) == pytest.approx(ERROR * tau[0], rel=0.35)
     assert again == pytest.approx(REPEATED, abs=0.25)
+
+
+def test_a_servo_rests_where_friction_holds_it() -> None:
+    """Torque of the motor and weight differ by less than the friction at rest of that load."""
+    pendulum = tasks()["virtual-servo"].settings["pendulum"]
+    servo = Servo()
+    for goal in (-1.0, 0.4, 1.2):
+        q = servo.moved(np.r_[np.linspace(0.0, goal, 40), np.full(160, goal)], pendulum)
+        assert np.ptp(q[-30:]) < 1e-6
+        rest = float(q[-1])
+        motor = servo.kt / servo.resistance * pendulum["vin"] * pendulum["gain"] * (goal - rest)
+        length = pendulum["length"]
+        weight = (pendulum["load"] + pendulum["arm"] / 2) * 9.80665 * length * np.sin(rest)
+        held = servo.friction + servo.at_rest + servo.load_share * abs(motor + weight)
+        assert abs(motor - weight) <= held * (1.0 + 1e-9)
+
+
+def test_a_servo_without_friction_swings_as_its_inertia_says() -> None:
+    """A motor without torque: small swings of a pendulum with the rotor's inertia."""
+    pendulum = tasks()["virtual-servo"].settings["pendulum"] | {"vin": 0.0}
+    free = Servo(friction=0.0, at_rest=0.0, load_share=0.0, viscous=0.0, kt=1e-9)
+    q = free.moved(np.full(300, 0.05), pendulum)
+    length, arm = pendulum["length"], pendulum["arm"]
+    inertia = free.rotor + (pendulum["load"] + arm / 3) * length**2
+    stiffness = (pendulum["load"] + arm / 2) * 9.80665 * length
+    t = np.arange(len(q)) / 100.0
+    assert q == pytest.approx(0.05 * np.cos(np.sqrt(stiffness / inertia) * t), abs=2e-4)
