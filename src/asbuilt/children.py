@@ -273,7 +273,8 @@ class ChildPool:
     """
 
     def __init__(self, count: int, environment: Mapping[str, str]) -> None:
-        self._threads, self._environment = ThreadPoolExecutor(count), environment
+        self._threads = ThreadPoolExecutor(count)
+        self._environment = environment
         self._children: dict[int, Child] = {}
         self._closed = False
 

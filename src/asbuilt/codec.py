@@ -22,7 +22,8 @@ class FieldError(ValueError):
 
     def __init__(self, place: str, reason: str) -> None:
         super().__init__(f"{place}: {reason}")
-        self.place, self.reason = place, reason
+        self.place = place
+        self.reason = reason
 
 
 def store_as(

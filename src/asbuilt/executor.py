@@ -286,7 +286,8 @@ def _connect_scheduler(distributed: Any, address: str) -> tuple[Any, int]:
             found.set_exception(problem)
 
     log = logging.getLogger("distributed")
-    before, log.level = log.level, logging.CRITICAL + 1
+    before = log.level
+    log.level = logging.CRITICAL + 1
     try:
         threading.Thread(target=connect, daemon=True).start()
         return found.result(GIVEN_UP)

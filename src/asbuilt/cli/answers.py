@@ -84,7 +84,8 @@ class Screen:
         """Remove the bar."""
         if self._bar is not None:
             self._bar.stop()
-        self._bar, self._tasks = None, {}
+        self._bar = None
+        self._tasks = {}
 
     def _open_bar(self) -> Any:
         if self._bar is None:

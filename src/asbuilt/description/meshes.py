@@ -30,7 +30,8 @@ MESH = FileKind(
     error=DescriptionError,
     largest=TABLE_LIMIT,  # 4 million triangles as STL; a link of a robot has some 10 000
 )
-SMALLEST, LARGEST = 1e-9, 1e6
+SMALLEST = 1e-9
+LARGEST = 1e6
 """Sizes of a part [m], between which inertia has no overflow and is not zero."""
 
 

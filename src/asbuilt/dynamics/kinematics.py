@@ -24,17 +24,10 @@ def _evaluate_link_poses(model: RobotModel, q: Array) -> Array:
     turning = np.array([joint.is_revolute for joint in model.joints])
     c = np.cos(q[:, turning])
     s = np.sin(q[:, turning])
-    (
-        motion[:, turning, 0, 0],
-        motion[:, turning, 0, 1],
-        motion[:, turning, 1, 0],
-        motion[:, turning, 1, 1],
-    ) = (
-        c,
-        -s,
-        s,
-        c,
-    )
+    motion[:, turning, 0, 0] = c
+    motion[:, turning, 0, 1] = -s
+    motion[:, turning, 1, 0] = s
+    motion[:, turning, 1, 1] = c
     motion[:, ~turning, 2, 3] = q[:, ~turning]
     poses: Array = (
         np.array([joint.before for joint in model.joints])
@@ -69,12 +62,14 @@ def draw_postures_within(
     Where loops place joints, they are those at which the loops close, away from singular postures:
     limits of a motor often reach farther. Raises `DescriptionError` where there are none.
     """
-    n, closure = model.n_joints, model.closure
+    n = model.n_joints
+    closure = model.closure
     if closure is None:
         return rng.uniform(lower, upper, (count, n))
     home = closure.home[:n]
     reach = np.pi * closure.scale[:n]
-    lower, upper = np.maximum(lower, home - reach), np.minimum(upper, home + reach)
+    lower = np.maximum(lower, home - reach)
+    upper = np.minimum(upper, home + reach)
     found = np.empty((0, n))
     for trial in range(TRIALS):
         width = 1.0 - trial / TRIALS  # nearer to the first posture, the longer it takes

@@ -69,7 +69,8 @@ def _evaluate_joint_space(
             return found
         masses = _evaluate_joint_space(model.tree, *of_tree, coriolis=False)
         return found + np.swapaxes(moved.shares, 1, 2) @ masses @ turning.turning
-    layout, (samples, n) = build_layout(model), q.shape
+    layout = build_layout(model)
+    samples, n = q.shape
     matrices = np.empty((samples, n, n))
     angles = flatten_array(q)
     rates = flatten_array(qd)
@@ -312,12 +313,14 @@ class OneSample:
         n = model.n_joints
         program, constants = compile_drives(drive, values, model.motor_shares)
         links = np.hstack([layout.placements, parameters.reshape(n, 10)]).ravel()
-        self._n, self._still = n, np.zeros(n)
+        self._n = n
+        self._still = np.zeros(n)
         self._codes = layout.codes.ravel().copy()
         self._program = np.concatenate([self._codes, program.ravel()])
         work = np.zeros(single_sample.work_size(n))
         self._numbers = np.concatenate([links, layout.gravity, constants, work])
-        self._torque, self._mass = single_sample.torque, single_sample.mass_matrix
+        self._torque = single_sample.torque
+        self._mass = single_sample.mass_matrix
 
     def torque(self, q: Any, qd: Any, qdd: Any) -> Array | None:
         """Return the torques of rigid bodies and drives [N m or N], shape (n,)."""

@@ -56,7 +56,8 @@ class TorqueModel:
         *,
         parameters: ArrayLike | None = None,
     ) -> None:
-        self.model, self.drive = model, drive
+        self.model = model
+        self.drive = drive
         self.values = np.array(values, dtype=np.float64)
         if self.values.shape != (model.n_joints * drive.columns_per_joint,):
             raise UsageError(

@@ -194,7 +194,8 @@ class PowerLimit(StateConstraint):
     two_sided = True
 
     def __init__(self, model: RobotModel, limit: Array) -> None:
-        self._joint_names, self._limit = model.joint_names, limit
+        self._joint_names = model.joint_names
+        self._limit = limit
         self._finite = np.flatnonzero(np.isfinite(limit))
         self._torque = TorqueLimit((model,), limit)
 

@@ -77,7 +77,8 @@ def estimate_essential(data: EstimationData) -> Estimate:
         ):
             break
         loss += float(increase[weakest])
-        without[kept[weakest]], beta[kept[weakest]] = True, 0.0
+        without[kept[weakest]] = True
+        beta[kept[weakest]] = 0.0
         kept = np.delete(kept, weakest)
     root = start.solution.inverse_root
     solution = start.solution

@@ -202,7 +202,8 @@ def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) ->
     for z, block in zip(instruments, rows, strict=True):
         for k, support in enumerate(rows.support):
             both = np.zeros((2 * p + 1, block.time.n_samples))
-            both[support], both[np.append(p + support, -1)] = z.rows[k][:-1], block.rows[k]
+            both[support] = z.rows[k][:-1]
+            both[np.append(p + support, -1)] = block.rows[k]
             growing.append(weights[k] * both)
     factor = growing.factor()
     zz = factor[:p, :p]

@@ -338,7 +338,8 @@ def estimate_with_siblings(
     Assoc. 68, 1973). Whether data and prior agree is tested first on what the data determine
     better than the prior (Evans & Moshonov, Bayesian Analysis 1, 2006).
     """
-    m, (square, r) = len(prior.robot_ids), _measure_distance(prior, information)
+    m = len(prior.robot_ids)
+    square, r = _measure_distance(prior, information)
     p_value = float(fdtrc(r, max(m - 1, 1), square / prior.dispersion)) if r else 1.0
     if p_value < SIBLING_UNLIKE:
         return None, (

@@ -22,25 +22,16 @@ from asbuilt.identification import (
     triangular_factor,
 )
 
-
-@dataclass(frozen=True, slots=True)
-class JumpRules:
-    """Say when a log does not fit the others of its robot; own choice, on real and virtual arms.
-
-    `ratio` is the RMS torque error of the log by the model of the others, in that by its own
-    model; `most` logs, the latest, are looked at.
-    """
-
-    ratio: float = 3.0
-    most: int = 12
-
-
-JUMP = JumpRules()
+UNLIKE_OTHERS = 3.0
+"""A log does not fit the others of its robot when the RMS torque error by their model, in that
+by its own, is larger; own choice, on real and virtual arms."""
+LATEST = 12
+"""Logs of a robot, the latest, that are looked at."""
 
 
 def report_suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
     """Return findings about a robot's latest entries."""
-    latest = ledger.current_names(robot_id)[-JUMP.most :]
+    latest = ledger.current_names(robot_id)[-LATEST:]
     sound = [entry for entry in (ledger.read(*each) for each in latest) if entry is not None]
     types = {entry.settings.robot_type for entry in sound}
     if len(types) > 1:
@@ -87,7 +78,7 @@ def _report_jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
             measure_misfit(entry, [each for each in rest if each is not entry]) for entry in rest
         ]
         worst = len(rest) - 1 if len(rest) == 2 else int(np.argmax(ratios))
-        if ratios[worst] <= JUMP.ratio:
+        if ratios[worst] <= UNLIKE_OTHERS:
             break
         found.append((ratios[worst], rest.pop(worst)))
     return [

@@ -60,7 +60,8 @@ class Worker:
     def close(self) -> None:
         """End the process."""
         with self._lock:
-            process, self._process = self._process, None
+            process = self._process
+            self._process = None
         if process is not None:
             process.kill()
             process.wait()

@@ -100,7 +100,8 @@ def _choose_equal_times(
 
     `steps` are the longest and the shortest time between them [s].
     """
-    (longest, shortest), grid = steps, _make_grid(motion)
+    longest, shortest = steps
+    grid = _make_grid(motion)
     expected = motion.derivative(grid)
     intervals = max(2, int(np.ceil(motion.duration / longest)))
     while True:

@@ -327,7 +327,8 @@ def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
         cells[place(until)] = "|"
         p = place(promised or 0.0)
         f = place(found)
-        cells[p], cells[f] = "p", "f"
+        cells[p] = "p"
+        cells[f] = "f"
         if p == f:
             cells[p] = "*"
         lines.append(f"round {number:<3}{''.join(cells)}")

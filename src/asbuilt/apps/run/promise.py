@@ -114,7 +114,8 @@ def _group(speed: Array, squared: Array) -> tuple[Array, Array]:
     """Return upper speeds of groups of samples and their mean squares, which fall with speed."""
     known = np.isfinite(squared)
     order = np.argsort(speed[known])
-    speed, squared = speed[known][order], squared[known][order]
+    speed = speed[known][order]
+    squared = squared[known][order]
     if not len(speed):
         return np.array([np.inf]), np.zeros(1)
     ends = [len(speed)]

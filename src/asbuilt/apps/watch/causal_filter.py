@@ -40,7 +40,9 @@ class CausalFilter:
 
     def start(self, u: Array) -> None:
         """Rest at u (m,)."""
-        self._input, self._x, self._v = u, u.copy(), np.zeros(u.shape)
+        self._input = u
+        self._x = u.copy()
+        self._v = np.zeros(u.shape)
         self.age = 0.0
 
     @property
@@ -53,7 +55,8 @@ class CausalFilter:
         w = self.pole
         slope = (u - self._input) / dt
         if self.age == 0.0:
-            self._x, self._v = self._input - 2.0 * slope / w, slope
+            self._x = self._input - 2.0 * slope / w
+            self._v = slope
         self.age += dt
         off = self._x - self._input + 2.0 * slope / w
         fade = np.exp(-w * dt)

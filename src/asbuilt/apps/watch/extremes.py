@@ -121,7 +121,8 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
 
 def _fit_tail(x: Array, peaks: int, probability: float) -> Tail:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
-    blocks, (start, mean) = len(x), _find_tail(x, peaks)
+    blocks = len(x)
+    start, mean = _find_tail(x, peaks)
     shape, scale, weight = _evaluate_posterior((x[-peaks:] - start) / mean)
     above = (peaks + 1) / (blocks + 1)
     low = 0.0

@@ -75,7 +75,8 @@ def bracket_friction(before: Array, friction: Array) -> tuple[Array, Array]:
     four = np.concatenate([before, friction])
     # As `mean`, `max` and `min` of axis 0, in half of their time for one sample.
     middle = np.add.reduce(four) / len(four)
-    least, largest = np.minimum.reduce(four), np.maximum.reduce(four)
+    least = np.minimum.reduce(four)
+    largest = np.maximum.reduce(four)
     return middle, np.maximum(largest - middle, middle - least)
 
 
@@ -149,7 +150,8 @@ class Observer:
             velocity_error = thresholds.velocity_error
         if not (np.isfinite(bandwidth) and bandwidth > 0.0):
             raise UsageError(f"the bandwidth must be a positive number [Hz], got {bandwidth}")
-        self.bandwidth, self.thresholds = bandwidth, thresholds
+        self.bandwidth = bandwidth
+        self.thresholds = thresholds
         self.velocity_error = _expand_velocity_error(velocity_error, self.model.n_joints)
         self.model_error = ModelError.of(robot)
         self._balance = MomentumBalance(self.torque_model, self.velocity_error)
@@ -296,7 +298,12 @@ class Observer:
             if self.thresholds is not None:
                 slow = self.thresholds.slow(self.qd, qd)
                 self.slowness = self.slowness + share * (slow - self.slowness)
-        self._p, self._s, self._friction, self._tau, self.q, self.qd = p, s, f, tau, q, qd
+        self._p = p
+        self._s = s
+        self._friction = f
+        self._tau = tau
+        self.q = q
+        self.qd = qd
 
 
 def _expand_velocity_error(velocity_error: ArrayLike, n: int) -> Array:

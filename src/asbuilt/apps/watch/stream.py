@@ -242,7 +242,8 @@ class StreamWatch:
         if not (t > self._time and all(np.isfinite(x).all() for x in given)):
             self.left_out += 1
             return
-        observer, self._time = self.observer, t
+        observer = self.observer
+        self._time = t
         observer.update(t, q, tau, qd)
         self.n_samples += 1
         self._follow(t)

@@ -103,7 +103,8 @@ def evaluate(text: str, symbols: Mapping[str, Any], functions: Sequence[Any]) ->
 
 class _Expression:
     def __init__(self, symbols: Mapping[str, Any], functions: Sequence[Any]) -> None:
-        self._symbols, self._functions = symbols, functions
+        self._symbols = symbols
+        self._functions = functions
 
     def value(self, node: Any) -> Any:
         """Return the value of a node of a listed kind."""

@@ -387,7 +387,8 @@ class _Tree:
             self.parts.append([])
             carrier = len(self.joints) - 1
             pose = np.eye(4)
-        self.carrier[body], self.pose[body] = carrier, pose
+        self.carrier[body] = carrier
+        self.pose[body] = pose
         if count == 0:
             self.frames.append(Frame(name=name, link=carrier, placement=pose))
         if carrier == ROOT:

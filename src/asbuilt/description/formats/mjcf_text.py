@@ -175,7 +175,8 @@ def _convert_to_spring(numbers: Mapping[str, float]) -> dict[str, float]:
 
     `Ke inner outer sin(q + angle)`; its ends never meet, since they are at different radii.
     """
-    sine, cosine = numbers.get("Bs", 0.0), numbers.get("Bc", 0.0)
+    sine = numbers.get("Bs", 0.0)
+    cosine = numbers.get("Bc", 0.0)
     inner, outer = BALANCER_RADII
     return {
         "Ke": math.hypot(sine, cosine) / (inner * outer),

@@ -357,7 +357,8 @@ def _check_mimics(
         if joint.mimic is None:
             continue
         place = f"{source}, joint {joint.name!r}"
-        (master,), seen = joint.mimic.factors, {joint.name}
+        (master,) = joint.mimic.factors
+        seen = {joint.name}
         while master in moving and moving[master].mimic is not None and master not in seen:
             seen.add(master)
             (master,) = moving[master].mimic.factors  # type: ignore[union-attr]

@@ -258,7 +258,8 @@ class _Lock:
         asked: Mapping[str, float | None],
     ) -> None:
         self._by_name = {joint.name_in_tree: joint for joint in by_name.values()} | dict(by_name)
-        self._locked, self._asked = locked, asked
+        self._locked = locked
+        self._asked = asked
         self.held = {name for name in asked if name in by_name}
         # Holding one joint may hold others, until none is added.
         while (

@@ -123,7 +123,8 @@ def _fill_rigid_body_columns(
         p = p + arm
         a = a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         z = R[:, :, 2]
-        axes[i], points[i] = z, p
+        axes[i] = z
+        points[i] = p
         rate = qd[:, i, None]
         acceleration = qdd[:, i, None]
         if joint.is_revolute:

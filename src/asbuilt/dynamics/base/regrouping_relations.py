@@ -334,7 +334,8 @@ def _carry_through_joint(
 
     def demand(rows: Array, at: int | slice = _NOTHING, change: Array | float = 0.0) -> None:
         block = np.zeros((len(rows), 14 + n))
-        block[:, :10], block[:, at] = rows, change
+        block[:, :10] = rows
+        block[:, at] = change
         blocks.append(block)
 
     demand(2.0 * own, _ARMATURE, 1.0)
@@ -360,7 +361,8 @@ def _carry_through_joint(
     ones = np.zeros((*turned.shape[:2], 1))
     ones[0, :, 0] = gravity[:, 3]
     beat = np.zeros(6 + n)
-    beat[:6], beat[6 + number] = axis, 1.0
+    beat[:6] = axis
+    beat[6 + number] = 1.0
     motion = LinkMotion(
         twists=row_space(np.vstack([moved, axis])),
         kinetic=row_space(

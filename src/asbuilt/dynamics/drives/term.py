@@ -127,7 +127,8 @@ class DriveTerm:
                 f"the columns of drive term {cls.key!r} use {unknown[0]!r}; they may use"
                 f" {', '.join(sorted(known))}"
             )
-        cls.needs_load, cls.by_position = "load" in used, "q" in used
+        cls.needs_load = "load" in used
+        cls.by_position = "q" in used
         cls.title = cls.__dict__.get("title") or cls.key.replace("_", " ")
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

@@ -261,10 +261,8 @@ def _find_points(shape: Any, place: str, folder: Path) -> Array | None:
         half = np.array(read_extents(shape, "size", 3, place)) / 2
         return np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
     if shape.tag == "cylinder":
-        (radius,), (length,) = (
-            read_extents(shape, "radius", 1, place),
-            read_extents(shape, "length", 1, place),
-        )
+        (radius,) = read_extents(shape, "radius", 1, place)
+        (length,) = read_extents(shape, "length", 1, place)
         ring = radius * np.column_stack([np.cos(around), np.sin(around)])
         return np.vstack(
             [np.column_stack([ring, np.full(24, z)]) for z in (-length / 2, length / 2)]

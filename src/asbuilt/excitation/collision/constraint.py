@@ -42,7 +42,8 @@ class CollisionGuard(StateConstraint):
     two_sided = False
 
     def __init__(self, model: RobotModel, bodies: Surroundings) -> None:
-        self._model, self._bodies = model, bodies
+        self._model = model
+        self._bodies = bodies
         joined = list_neighbours(model) | bodies.allowed
         links = [capsule.link for capsule in bodies.capsules]
         self.pairs = [
@@ -195,7 +196,8 @@ class ToolBox(StateConstraint):
                 f"the box of the tool must have positive extent, got {lower.tolist()} to"
                 f" {upper.tolist()}"
             )
-        self._centre, self._half = (upper + lower) / 2, (upper - lower) / 2
+        self._centre = (upper + lower) / 2
+        self._half = (upper - lower) / 2
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the normalised place of the tool, (N, 3)."""
@@ -269,7 +271,8 @@ def _place_joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
             if joint.parent == ROOT
             else links[:, joint.parent] @ joint.before
         )
-        axes[:, k], origins[:, k] = frame[:, :3, 2], frame[:, :3, 3]
+        axes[:, k] = frame[:, :3, 2]
+        origins[:, k] = frame[:, :3, 3]
     return axes, origins
 
 

@@ -51,7 +51,10 @@ class SearchPool(Generic[Task, Result]):
     """
 
     def __init__(self, work: Callable[[Task], Result], workers: Workers, size: int) -> None:
-        self._work, self._workers, self._busy, self._lost = work, workers, 0, False
+        self._work = work
+        self._workers = workers
+        self._busy = 0
+        self._lost = False
         # What each process imports with the work takes longer than many a search.
         # Idle processes load while others search: the first task then starts at once.
         self._ready = [workers.submit(_load, work) for _ in range(size)]

@@ -90,8 +90,10 @@ class DesignSearch:
         deadline: Deadline,
     ) -> None:
         self.family = family
-        self._model, self._objective = model, objective
-        self._options, self._deadline = options, deadline
+        self._model = model
+        self._objective = objective
+        self._options = options
+        self._deadline = deadline
         self._bounds = MotionBounds.assumed(model, options.fraction)
         torque = options.torque_fraction * MotionBounds.of(model).torque
         models = perturb_models(

@@ -250,7 +250,8 @@ def _select_optimal_subset(rows: Array, count: int) -> list[int]:
             without = matrix - rows[chosen[place]].T @ rows[chosen[place]]
             best = int(np.argmax(gains(without)))
             if best != chosen[place]:
-                chosen[place], changed = best, True
+                chosen[place] = best
+                changed = True
             matrix = without + rows[chosen[place]].T @ rows[chosen[place]]
         if not changed:
             break

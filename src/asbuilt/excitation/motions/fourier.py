@@ -14,8 +14,9 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds, check_motion
 from asbuilt.excitation.motions.motion import BasisMotion, Motion, check_way_points
 from asbuilt.excitation.motions.parametrisation import (
+    HARMONICS,
     PARAMETRISATIONS,
-    RICHNESS,
+    SAFE_FREQUENCY,
     Parametrisation,
     useful_frequency,
 )
@@ -167,14 +168,14 @@ class Fourier(Parametrisation):
         cls, duration: float, periods: int | None, bounds: MotionBounds | None = None
     ) -> tuple[int, int | None]:
         """Return harmonics and periods: up to the useful frequency, at most 16 in a period."""
-        least, most = RICHNESS.harmonics
+        least, most = HARMONICS
         if bounds is None:
-            return max(least, round(RICHNESS.frequency * duration / (periods or 1))), periods
+            return max(least, round(SAFE_FREQUENCY * duration / (periods or 1))), periods
         useful = useful_frequency(bounds)
-        fast = useful > 1.01 * RICHNESS.frequency
+        fast = useful > 1.01 * SAFE_FREQUENCY
         repeats = periods or (max(1, round(useful * duration / most)) if fast else 1)
         period = duration / repeats
-        slow = max(least, round(RICHNESS.frequency * period))
+        slow = max(least, round(SAFE_FREQUENCY * period))
         return max(slow, min(most, round(useful * period))), repeats
 
     def basis(self, t: Array, order: int) -> Array:

@@ -89,7 +89,8 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         raise MotionError(f"{source} is not a motion: it has a header but no data")
     labels = names
     if model is not None:
-        names, labels = model.joint_names, _match_labels(names, model, source)
+        labels = _match_labels(names, model, source)
+        names = model.joint_names
     given = [
         prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)
     ]

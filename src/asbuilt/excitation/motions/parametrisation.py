@@ -13,26 +13,14 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.registry import Registry
 
-
-@dataclass(frozen=True)
-class Richness:
-    """Bound the number of harmonics or points of a motion where the user asks for none.
-
-    | field | meaning and source |
-    |---|---|
-    | `frequency` | highest frequency without limits [Hz]; arms follow it without vibrating |
-    | `harmonics` | fewest and most harmonics of a period; beyond, a search gains nothing |
-    | `points` | fewest and most points; beyond, a search gains nothing |
-    | `points_per_wave` | control points per wave of the useful frequency (2 is Nyquist's) |
-    """
-
-    frequency: float = 0.25
-    harmonics: tuple[int, int] = (4, 16)
-    points: tuple[int, int] = (4, 49)
-    points_per_wave: float = 3.2
-
-
-RICHNESS = Richness()
+SAFE_FREQUENCY = 0.25
+"""Highest frequency without limits [Hz]; arms follow it without vibrating."""
+HARMONICS = (4, 16)
+"""Fewest and most harmonics of a period; beyond, a search gains nothing."""
+POINTS = (4, 49)
+"""Fewest and most control points; beyond, a search gains nothing."""
+POINTS_PER_WAVE = 3.2
+"""Control points per wave of the useful frequency (2 is Nyquist's)."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +54,10 @@ class Parametrisation(ABC):
         cls, duration: float, periods: int | None, bounds: MotionBounds | None = None
     ) -> tuple[int, int | None]:
         """Return size and periods that suit these limits, where the user asks for no size."""
-        useful = RICHNESS.frequency if bounds is None else useful_frequency(bounds)
-        (least, most), wave = RICHNESS.points, RICHNESS.points_per_wave
-        slow = max(least, round(wave * RICHNESS.frequency * duration) + 1)
+        useful = SAFE_FREQUENCY if bounds is None else useful_frequency(bounds)
+        least, most = POINTS
+        wave = POINTS_PER_WAVE
+        slow = max(least, round(wave * SAFE_FREQUENCY * duration) + 1)
         quick = min(round(cls.density * (most - 1)), round(cls.density * wave * useful * duration))
         return max(slow, quick + 1), periods
 

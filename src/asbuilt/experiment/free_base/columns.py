@@ -304,7 +304,8 @@ def coordinate_rates(q: Array, v: Array, w: Array) -> Array:
     With R of yaw, pitch and roll: `d(x, y, z)/dt = R v`, and the rates of the angles follow from
     `w = roll' x + pitch' Rx^T y + yaw' (Ry Rx)^T z`.
     """
-    (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
+    sp, sr = np.sin(q[:, 4:6]).T
+    cp, cr = np.cos(q[:, 4:6]).T
     yaw = (sr * w[:, 1] + cr * w[:, 2]) / cp
     pitch = cr * w[:, 1] - sr * w[:, 2]
     roll = w[:, 0] + sp * yaw
@@ -320,7 +321,8 @@ def coordinate_accelerations(
     `R (a + w x v)`; the second rates of the angles are the derivatives of the sums in
     `coordinate_rates`.
     """
-    (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
+    sp, sr = np.sin(q[:, 4:6]).T
+    cp, cr = np.cos(q[:, 4:6]).T
     yaw, pitch, roll = rates[:, 3:].T
     across = sr * alpha[:, 1] + cr * alpha[:, 2] + roll * pitch
     yaws = (across + yaw * sp * pitch) / cp
@@ -332,7 +334,8 @@ def coordinate_accelerations(
 
 def base_rotations(q: Array) -> Array:
     """Return the rotations from base axes to world axes, (N, 3, 3)."""
-    (cy, cp, cr), (sy, sp, sr) = np.cos(q[:, 3:6]).T, np.sin(q[:, 3:6]).T
+    cy, cp, cr = np.cos(q[:, 3:6]).T
+    sy, sp, sr = np.sin(q[:, 3:6]).T
     R = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],

@@ -90,7 +90,8 @@ def with_joint_units(
         for quantity, shift in shifts.items():
             if quantity in layout.quantities:
                 column = layout.quantities[quantity][k]
-                scales[column], offsets[column] = factor, shift
+                scales[column] = factor
+                offsets[column] = shift
     return replace(layout, scales=scales, offsets=offsets)
 
 
@@ -104,7 +105,8 @@ def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
     """Return factor and offset that turn a number of the log into SI."""
     if isinstance(unit, str):
         return parse_unit_scale(unit) or 1.0, 0.0
-    (first, last), (lower, upper) = unit.logged, unit.position
+    first, last = unit.logged
+    lower, upper = unit.position
     factor = (upper - lower) / (last - first)
     return factor, lower - factor * first
 

@@ -52,7 +52,8 @@ class Conventions:
 
     def with_joint(self, k: int, convention: Convention) -> Conventions:
         """Return these conventions with another one of joint k."""
-        fit, (position, torque, zero) = self.fit, convention
+        fit = self.fit
+        position, torque, zero = convention
         q, qd, qdd, tau = (np.array(array) for array in (fit.q, fit.qd, fit.qdd, fit.tau))
         q[:, k] = position * (q[:, k] - zero)
         qd[:, k] *= position

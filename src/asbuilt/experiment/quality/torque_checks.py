@@ -500,7 +500,7 @@ def _report_scale(
     # The density by CAD asks whether masses of the description can be an arm's.
     by_cad = infer_density(replace(fit, tau=inverse_dynamics(model, fit.q, fit.qd, fit.qdd)))
     by_log = infer_density(replace(fit, tau=fit.tau * scale))
-    (low, high) = DENSITY
+    low, high = DENSITY
     plausible = [None if density is None else low < density < high for density in (by_cad, by_log)]
     if plausible == [False, True]:
         return Finding(
@@ -560,7 +560,8 @@ give 1.7 to 87.
 
 def check_scale_without_masses(fit: TorqueFit) -> Iterator[Finding]:
     """Find torques of a size that no robot of this length has."""
-    density, (low, high) = infer_density(fit), DENSITY
+    density = infer_density(fit)
+    low, high = DENSITY
     if density is None or low < density < high:
         return
     length = stretched_length(fit.model)

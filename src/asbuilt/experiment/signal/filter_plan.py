@@ -222,7 +222,8 @@ class FilterPlan:
         UsageError
             If delays are of another number of joints.
         """
-        (q, qd, qdd), tau = motion, self._advance(segment.tau)
+        q, qd, qdd = motion
+        tau = self._advance(segment.tau)
         if self.chain.derivative == "gaussian":  # not flat in the band, so for both sides alike
             tau = self.smooth(tau)
         n = self.thinning

@@ -339,7 +339,8 @@ def track(
             warm = warmth[k + settling]
             position, velocity = physics.state
             if k >= 0:
-                q[k], qd[k] = position, velocity
+                q[k] = position
+                qd[k] = velocity
             seen = position + half * np.tanh(tau / engagement) if half.any() else position
             tau = feedforward[i] + stiffness[i] @ (
                 command.q[i] - seen + lead * (command.qd[i] - velocity)

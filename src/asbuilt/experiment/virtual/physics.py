@@ -136,8 +136,10 @@ class Physics:
         impedance = STIFFNESS.friction_impedance
         solimp = [impedance, impedance, 0.001, 0.5, 2.0]
         solref = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
-        self.compiled.eq_solimp[:], self.compiled.dof_solimp[:] = solimp, solimp
-        self.compiled.eq_solref[:], self.compiled.dof_solref[:] = solref, solref
+        self.compiled.eq_solimp[:] = solimp
+        self.compiled.dof_solimp[:] = solimp
+        self.compiled.eq_solref[:] = solref
+        self.compiled.dof_solref[:] = solref
         self._parts = max(
             1,
             math.ceil(
@@ -174,8 +176,10 @@ class Physics:
             if np.linalg.det(axes) < 0:
                 axes[:, 0] *= -1.0
             body = self.compiled.body(link.name)
-            body.mass, body.ipos = inertia.mass, inertia.com
-            body.iquat, body.inertia = quaternion_from_rotation(axes), moments
+            body.mass = inertia.mass
+            body.ipos = inertia.com
+            body.iquat = quaternion_from_rotation(axes)
+            body.inertia = moments
 
     def _sound_mass_matrices(self) -> Array:
         """Return the mass matrices of some random poses (8, n, n), armature included.
@@ -216,7 +220,8 @@ class Physics:
         every = self.every
         moved = self.model.link_motion(*states)
         for k in range(len(torque)):
-            data.qpos[every], data.qvel[every] = moved.q[k], moved.qd[k]
+            data.qpos[every] = moved.q[k]
+            data.qvel[every] = moved.qd[k]
             data.qacc[every] = moved.qdd[k]
             self._mujoco.mj_inverse(self.compiled, data)
             torque[k] = data.qfrc_inverse[every] @ moved.by_sample[k % len(moved.by_sample)]
@@ -237,7 +242,8 @@ class Physics:
         order = self.order
         moved = self.model.link_motion(q, qd)
         for k in range(len(q)):
-            data.qpos[self.every], data.qvel[self.every] = moved.q[k], moved.qd[k]
+            data.qpos[self.every] = moved.q[k]
+            data.qvel[self.every] = moved.qd[k]
             data.qfrc_applied[order] = tau[k]
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
@@ -250,7 +256,8 @@ class Physics:
         """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""
         self._mujoco.mj_resetData(self.compiled, self.data)
         moved = self.model.link_motion(*(np.array([x], dtype=np.float64) for x in (q, qd)))
-        self.data.qpos[self.every], self.data.qvel[self.every] = moved.q[0], moved.qd[0]
+        self.data.qpos[self.every] = moved.q[0]
+        self.data.qvel[self.every] = moved.qd[0]
 
     @property
     def state(self) -> tuple[Array, Array]:

@@ -134,17 +134,20 @@ class ConicProblem:
         bounds: BodyBounds | None = None,
         smallest_part: float = SMALLEST_PART,
     ) -> None:
-        self.prior, self.smallest_part = prior, smallest_part
+        self.prior = prior
+        self.smallest_part = smallest_part
         self.bodies, self.q0 = scale_near_one(prior)
         n = len(prior.parameters)
         inertial = 10 * prior.n_links
         p = len(regrouping)
         # Unit rows: tolerances of the solver are absolute.
-        self.bounds, self.margin = np.zeros((0, n)), np.zeros(0)
+        self.bounds = np.zeros((0, n))
+        self.margin = np.zeros(0)
         if bounds is not None:
             bound_rows = -bounds.rows @ self.bodies
             size = np.linalg.norm(bound_rows, axis=1)
-            self.bounds, self.margin = bound_rows / size[:, None], bounds.offsets / size
+            self.bounds = bound_rows / size[:, None]
+            self.margin = bounds.offsets / size
         below = np.vstack([self.bounds, -np.eye(inertial, n)])
         # Q_i >= part 1, as all CAD bodies are 1 in these variables.
         self.limits = np.concatenate(
@@ -249,7 +252,8 @@ class ConicProblem:
         size = float(np.linalg.norm(goal))
         farthest = FARTHEST if divisor is None else np.sqrt(FARTHEST)
         rows = np.zeros((3, n + p + 1))
-        rows[0, :n], rows[0, -1] = normal, float(divisor is None)
+        rows[0, :n] = normal
+        rows[0, -1] = float(divisor is None)
         # Row 0: divisor @ x = 1, or t = 1; row 1: t >= 0; row 2: the goal not beyond `farthest`.
         rows[1, -1] = -1.0
         rows[2, :n] = -goal / size

@@ -28,7 +28,8 @@ ROUNDING_OF_DRIVES = 1e-9
 """Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
 
 
-INERTIAS, MOMENTS = 6, 9
+INERTIAS = 6
+MOMENTS = 9
 """Ends of inertias and of first moments among the ten parameters of a body; the mass is last."""
 
 

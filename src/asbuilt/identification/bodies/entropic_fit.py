@@ -112,7 +112,8 @@ class EntropicProblem:
         *,
         held: bool = False,
     ) -> None:
-        self.prior, self.regrouping = prior, coordinates.regrouping
+        self.prior = prior
+        self.regrouping = coordinates.regrouping
         scale, self.q0 = scale_near_one(prior)
         self.whitening = np.linalg.inv(scale)
         self.inertial = 10 * prior.n_links
@@ -217,12 +218,15 @@ class _Search:
         barrier: float,
         start: Array | EntropicFits,
     ) -> None:
-        self.problem, self.weight, self.barrier = problem, weight, barrier
+        self.problem = problem
+        self.weight = weight
+        self.barrier = barrier
         self.weights = weight * problem.prior.strength
         self.start = start.chi if isinstance(start, EntropicFits) else start
         m = len(self.start)
         v = problem.free.shape[1]
-        self.A, self.error = np.zeros((m, 0, v)), np.zeros((m, 0))
+        self.A = np.zeros((m, 0, v))
+        self.error = np.zeros((m, 0))
         self.gram = np.zeros((m, v, v))
         if factors is not None:
             self.A, self.gram = problem.reduce(factors)
@@ -236,7 +240,8 @@ class _Search:
         self.values, self.roots = self._evaluated(self.q, self.error, self.slack)
         self.decrements = np.full(m, np.inf)
         if isinstance(start, EntropicFits):
-            self.duals, self.multipliers = start.duals.copy(), start.multipliers.copy()
+            self.duals = start.duals.copy()
+            self.multipliers = start.multipliers.copy()
         else:
             inverse = np.asarray(np.linalg.inv(self.roots), dtype=np.float64)
             # On the central path: Z = weight Q^-1, and slack times multiplier is the barrier.
@@ -328,7 +333,8 @@ class _Search:
             kept = b[good]
             self.y[kept] += (far * step[trying])[good]
             self.q[kept], self.error[kept], self.slack[kept] = (state[good] for state in tried)
-            self.values[kept], self.roots[kept] = values[good], roots[good]
+            self.values[kept] = values[good]
+            self.roots[kept] = roots[good]
             trying = trying[~good]
             length[trying] *= NEWTON_SHORTER
             trying = trying[length[trying] > NEWTON_SHORTEST]

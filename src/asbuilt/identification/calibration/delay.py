@@ -251,8 +251,10 @@ class _Fits:
         count: int,
         block_seconds: float | None,
     ) -> None:
-        self.model, self.count = model, count
-        self._prepare, self._block_seconds = prepare, block_seconds
+        self.model = model
+        self.count = count
+        self._prepare = prepare
+        self._block_seconds = block_seconds
         self._base = find_base_parameters(model, drive)
         self._design = design_values(model, self._base)
         self._known: Rows | None = None

@@ -205,7 +205,9 @@ def refer_to_links(
         if not pair.determined:
             continue
         motor, link = _orient_sides(samples, k, pair.lag)
-        q[:, k], qd[:, k], qdd[:, k] = link[0] + pair.zero, link[1], link[2]
+        q[:, k] = link[0] + pair.zero
+        qd[:, k] = link[1]
+        qdd[:, k] = link[2]
         if pair.rotor is not None:
             tau[:, k] -= pair.rotor * (motor[2] - link[2])
     moved = replace(samples, q=q, qd=qd, qdd=qdd, tau=tau)

@@ -290,7 +290,8 @@ class _Problem:
         to_link: Array,
     ) -> None:
         base = find_base_parameters(model, drive)
-        self._n, self._p = model.n_joints, base.n_base
+        self._n = model.n_joints
+        self._p = base.n_base
         of_link = np.arange(10 * link, 10 * link + 10)
         union = np.union1d(base.columns, of_link)
         own, carried = (np.searchsorted(union, each) for each in (base.columns, of_link))

@@ -322,7 +322,8 @@ def _combine_sides(
     p = base.n_base
     m = len(names)
     regrouping = np.zeros((p + m, first + m))
-    regrouping[:p, :first], regrouping[p:, first:] = base.regrouping, np.eye(m)
+    regrouping[:p, :first] = base.regrouping
+    regrouping[p:, first:] = np.eye(m)
     why = "the difference between motor and sensor torque holds the motor side alone"
     return replace(
         base,

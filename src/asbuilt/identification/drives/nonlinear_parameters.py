@@ -278,10 +278,12 @@ class _Remaining:
     """Hold each joint's torque projected off the columns of all terms but one."""
 
     def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[SampleBlock]) -> None:
-        self._model, self._chosen = model, chosen
+        self._model = model
+        self._chosen = chosen
         base = find_base_parameters(model, others)
         plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
-        self._bases, self._torques = [], []
+        self._bases = []
+        self._torques = []
         for rows in _stack_rows(plan, chosen):
             columns = rows[:-1]
             torque = rows[-1]

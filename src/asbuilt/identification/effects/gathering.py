@@ -151,7 +151,8 @@ class _Columns:
     """
 
     def __init__(self, robot: Described, variants: Sequence[Variant]) -> None:
-        self._robot, self._variants = robot, variants
+        self._robot = robot
+        self._variants = variants
         self._samples: Samples | None = None
         self._start = self._stop = 0
 

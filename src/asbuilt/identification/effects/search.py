@@ -164,9 +164,13 @@ class _Search:
         stated: Collection[str],
         kept: KeptRows,
     ) -> None:
-        self.model, self.drive, self.samples = model, drive, samples
+        self.model = model
+        self.drive = drive
+        self.samples = samples
         self.kept = kept
-        self.wanted, self.applied, self.stated = wanted, applied, stated
+        self.wanted = wanted
+        self.applied = applied
+        self.stated = stated
         self.impossible: set[At] = set()
         # Without masses CAD holds no bodies, so that held-out motion alone decides.
         self.held = model.has_masses
@@ -244,7 +248,8 @@ class _Search:
         any such fall is much, however small its torques are, on a `right` log: with an error of the
         log, what that leaves would be named.
         """
-        (before, after), effect = trial.errors, trial.candidate.effect
+        before, after = trial.errors
+        effect = trial.candidate.effect
         # `named` is of squared errors, these are their roots.
         falls = after < (1.0 - 0.5 * RULES.named) * before
         asked = trial.candidate.joint is not None and (right or effect.of_log)
@@ -427,7 +432,8 @@ class _Search:
         selection = Selection(equations, candidates, robot, cad, fit.weights, groups, self.applied)
         # Columns of what is taken out stay free: they take what the linearisation left.
         selection.taken = [selection.candidate(trial.candidate.at) for trial in removed]
-        selection.impossible, selection.held = self.impossible, self.held
+        selection.impossible = self.impossible
+        selection.held = self.held
         return selection
 
     def _describe_found(self, trial: Trial, selection: Selection) -> FoundEffect:

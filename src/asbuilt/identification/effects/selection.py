@@ -226,7 +226,8 @@ class Selection(Trials):
     def _try_with(self, taken: list[Candidate], candidates: Iterable[Candidate]) -> list[Trial]:
         """Try candidates with other effects in place of the ones taken."""
         # Trials are against `taken`: it is set for the call and put back.
-        before, self.taken = self.taken, taken
+        before = self.taken
+        self.taken = taken
         trials = self.trials(candidates)
         self.taken = before
         return trials

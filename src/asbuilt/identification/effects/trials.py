@@ -169,8 +169,10 @@ class Trials:
         groups: Sequence[Indices],
     ) -> None:
         """Take equations, candidates, prior, weights of the joints (n,), and groups of blocks."""
-        self.equations, self.candidates = equations, candidates
-        self.prior, self.weights = prior, weights
+        self.equations = equations
+        self.candidates = candidates
+        self.prior = prior
+        self.weights = weights
         self.n_base = equations.groups[MODEL]
         # A fit is the coefficients (-values, 1) of its residual: every square is a form in this
         # matrix.
@@ -375,7 +377,8 @@ class Trials:
         residual = np.zeros(P + 1)
         moves = np.zeros((P + 1, len(columns)))
         # tau - W x: minus the values, and one for the torque.
-        residual[inside], residual[-1] = -solution, 1.0
+        residual[inside] = -solution
+        residual[-1] = 1.0
         moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
         # Moves end with the column itself: what of it the parameters inside do not follow.
         moves[columns, np.arange(len(columns))] -= 1.0
@@ -420,7 +423,9 @@ class Trials:
         whole = self._fit(self._total, inside, columns)
         # All other parameters are zero, and stay so.
         moving = np.zeros(self.equations.n_columns + 1, dtype=np.bool_)
-        moving[inside], moving[columns], moving[-1] = True, True, True
+        moving[inside] = True
+        moving[columns] = True
+        moving[-1] = True
         _, scores, slopes = _expand_squares(whole, self._blocks, moving)
         held_out = [
             (fit, _expand_squares(fit, joints, moving))

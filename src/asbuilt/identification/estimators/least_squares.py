@@ -276,8 +276,12 @@ class RecursiveIdentification:
             raise UsageError(
                 f"the prior of {base.robot} needs {p} base parameters, got shape {toward.shape}"
             )
-        self.model, self.base, self.forgetting = model, base, float(forgetting)
-        self._weights, self._prior, self._strength = w, toward, float(prior_strength)
+        self.model = model
+        self.base = base
+        self.forgetting = float(forgetting)
+        self._weights = w
+        self._prior = toward
+        self._strength = float(prior_strength)
         self._plan = RegressorPlan.of(model, base.drive, base.columns)
         # Column-major, so that LAPACK overwrites the rows in place.
         self._rows = np.zeros((p + 1 + n, p + 1), order="F")

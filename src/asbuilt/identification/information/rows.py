@@ -379,7 +379,8 @@ class Rows:
             torques = part.filtered(part.samples.tau.__getitem__)
             for rows, torque in zip(block.rows, torques, strict=True):
                 rows[-1] = torque
-        self._samples, self._parts = samples, None
+        self._samples = samples
+        self._parts = None
         return True
 
     def _divide(self, samples: Iterable[Samples]) -> Iterator[SampleBlock]:

@@ -377,7 +377,8 @@ class _Gathering:
         if len(self.blocks) > 2 * MOST_BLOCKS:
             # Blocks of twice the length: all are added again, and each joins its neighbour.
             self.seconds *= 2.0
-            blocks, self.blocks = self.blocks, []
+            blocks = self.blocks
+            self.blocks = []
             for each in blocks:
                 self.add(each)
 

@@ -95,7 +95,8 @@ def find_scale(
         mean = float(np.sum(weight[good] * c[good]) / np.sum(weight))
         # Joints that scatter beyond their errors raise the error of their mean (ratio of Birge).
         spread = np.sum(weight[good] * (c[good] - mean) ** 2) / max(np.count_nonzero(good) - 1, 1)
-        c[unknown], V[unknown] = mean, max(spread, 1.0) / np.sum(weight)
+        c[unknown] = mean
+        V[unknown] = max(spread, 1.0) / np.sum(weight)
     with np.errstate(divide="ignore", invalid="ignore"):
         kp = np.where(c > 0, 1.0 / c, np.nan)
         relative = np.where(c > 0, np.sqrt(V) / c, np.inf)
@@ -117,7 +118,8 @@ def _estimate_own_scale(
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
     }
     T = np.zeros((support.size + 3, 1 + drives.shape[1]))
-    T[: support.size, 0], T[: support.size, 1:] = K @ design, drives
+    T[: support.size, 0] = K @ design
+    T[: support.size, 1:] = drives
     # Unknown damping stays in the viscous friction.
     T[support.size, 0] = np.nan_to_num(kd)
     # A joint has no columns of the drives of others.
@@ -261,7 +263,8 @@ def fit_delay(
     prior[p, p] = 0.0
     start = np.zeros(p + 1)
     lower = np.full(p + 1, -np.inf)
-    start[links], lower[design.non_negative] = design.parameters[links], 0.0
+    start[links] = design.parameters[links]
+    lower[design.non_negative] = 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
     weight = np.ones((n, rows.n_blocks))
@@ -334,7 +337,8 @@ def _build_coefficients(
     # Rows are [W_k, qd, du/dt, u - q]: of du/dt and u - q the gains are coefficients.
     J[support.size + 1, -1] = kp
     torque = np.zeros(support.size + 3)
-    torque[support.size], torque[support.size + 2] = -kd, kp
+    torque[support.size] = -kd
+    torque[support.size + 2] = kp
     return J, torque
 
 
@@ -353,7 +357,8 @@ def _solve_bounded(
     x = np.zeros(len(aim))
     held = np.ones(len(aim), dtype=np.bool_)
     # Most calls keep their active bounds: one Cholesky then verifies what bvls would search.
-    x[near], held[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near]), False
+    x[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near])
+    held[near] = False
     if np.all(x[near] > lower[near]) and np.all((scaled @ x - aim)[held] >= 0.0):
         return x * scale, near
     # In the root the normal equations are a plain least-squares problem.

@@ -63,7 +63,9 @@ class _Engine:
     """A compiled robot with its servo and drive terms."""
 
     def __init__(self, robot: SimulatedRobot, windows: Windows) -> None:
-        self.mujoco, step, ground = import_mujoco("a rollout"), windows.step, windows.ground
+        self.mujoco = import_mujoco("a rollout")
+        step = windows.step
+        ground = windows.ground
         self.robot = robot
         armature, viscous, self.friction, self.offset = map(robot.value_of, AT_JOINTS)
         self.others = robot.drive.without(*AT_JOINTS, *AT_MOTORS)
@@ -89,15 +91,18 @@ class _Engine:
             timestep=step,
             extend=extend,
         )
-        self.compiled, self.order = self.physics.compiled, self.physics.order
+        self.compiled = self.physics.compiled
+        self.order = self.physics.order
         self.every = self.physics.every
         if robot.step:
             self._take_away_what_steps_add()
         option = self.compiled.opt
         bits = self.mujoco.mjtDisableBit
-        option.timestep, option.integrator = step, self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        option.timestep = step
+        option.integrator = self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         option.disableflags &= ~int(bits.mjDSBL_ACTUATION | bits.mjDSBL_CONTACT)
-        option.cone, option.impratio = self.mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+        option.cone = self.mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.impratio = 10.0
         self.floors = np.zeros((windows.n_windows, 0))
         if ground is not None:
             self.floors = ground.places(robot.model).reshape(windows.n_windows, -1)
@@ -123,7 +128,8 @@ class _Engine:
         size = self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS)
         start = np.zeros((windows.n_windows, size))
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
-        start[:, 1 + self.every], start[:, 1 + n + self.every] = moved.q, moved.qd
+        start[:, 1 + self.every] = moved.q
+        start[:, 1 + n + self.every] = moved.qd
         forces = self._build_forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
         control = np.concatenate([forces, np.repeat(self.floors[:, None], steps, axis=1)], axis=2)
         given = (state.mjSTATE_CTRL, state.mjSTATE_QFRC_APPLIED, state.mjSTATE_MOCAP_POS)
@@ -141,7 +147,8 @@ class _Engine:
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
         for run, q, qd, floors in zip(runs, moved.q, moved.qd, self.floors, strict=True):
-            run.qpos[self.every], run.qvel[self.every] = q, qd
+            run.qpos[self.every] = q
+            run.qvel[self.every] = qd
             run.mocap_pos[:] = floors.reshape(-1, 3)
         shape = (windows.n_windows, steps, len(order))
         positions = np.full(shape, np.nan)
@@ -166,10 +173,12 @@ class _Engine:
                     control[:] = self._apply_servo_limits(control, q[w], qd[w])
                 force[:] = applied[w]
                 step_once(self.compiled, runs[w])
-                q[w], qd[w] = position[order], velocity[order]
+                q[w] = position[order]
+                qd[w] = velocity[order]
                 if self.others.needs_load:
                     qdd[w] = acceleration[order]
-            positions[moving, step], velocities[moving, step] = q[moving], qd[moving]
+            positions[moving, step] = q[moving]
+            velocities[moving, step] = qd[moving]
         return positions, velocities
 
     def _apply_servo_limits(self, goal: Array, q: Array, qd: Array) -> Array:
@@ -226,7 +235,8 @@ def _add_motor(spec: Any, robot: SimulatedRobot, k: int) -> None:
     for name, share in zip(robot.model.joint_names, robot.model.motor_shares[k], strict=True):
         if share:
             tendon.wrap_joint(name, share)
-    tendon.armature, tendon.frictionloss = armature, max(coulomb, 0.0)
+    tendon.armature = armature
+    tendon.frictionloss = max(coulomb, 0.0)
     tendon.damping[0] = viscous
 
 

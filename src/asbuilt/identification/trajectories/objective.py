@@ -210,7 +210,8 @@ class Objective:
 
     def other_cost(self, point: Point) -> float:
         """Return the part of the cost that belongs to no window."""
-        (_, rest), (ridge, moved) = self._build_torque_rows(point), self._build_pull(point)
+        _, rest = self._build_torque_rows(point)
+        ridge, moved = self._build_pull(point)
         total = 0.5 * float(rest @ rest + ridge @ moved**2)
         if self.links_held:
             return total

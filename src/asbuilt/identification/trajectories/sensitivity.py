@@ -113,7 +113,8 @@ class Trajectories:
         """Simulate windows; `links` (10 n_links,) are inertial parameters, consistent or not."""
         shape = (windows.n_windows, windows.n_steps, self.model.n_joints)
         q, v = (np.empty((shape[0], shape[1] + 1, shape[2])) for _ in range(2))
-        q[:, 0], v[:, 0] = windows.start_q, windows.start_qd
+        q[:, 0] = windows.start_q
+        v[:, 0] = windows.start_qd
         a = np.empty(shape)
         state = np.empty(shape)
         codes, program, numbers = self._compile_program(robot, links)

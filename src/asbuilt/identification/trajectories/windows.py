@@ -60,7 +60,8 @@ class DriveSignal:
         logged = recording.tau if kind == "torque" else recording.command
         if logged is None:
             raise ValueError(f"{recording.source} has no {kind}")
-        (t, values), servo = _select_finite(recording.t, logged), recording.servo
+        t, values = _select_finite(recording.t, logged)
+        servo = recording.servo
         limited = kind == "command" and servo is not None and servo.limits_goal
         return cls(kind, t, values, servo.goal(t, values) if limited and servo else None)
 

@@ -187,7 +187,8 @@ def doubt_driving_friction(
     """
     base = information.base
     links = base.columns < 10 * base.n_links
-    shares, columns = [], []
+    shares = []
+    columns = []
     for k, (support, factor) in enumerate(
         zip(information.support, information.joint_factors, strict=True)
     ):

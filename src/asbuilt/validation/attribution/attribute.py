@@ -26,7 +26,7 @@ from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.screen import format_size
 from asbuilt.tables import format_plus_minus
-from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
+from asbuilt.validation.attribution.attribution import NAMED_SHARE, Attribution, EffectShare
 from asbuilt.validation.attribution.body_differences import Body, BodyDifference, explain_bodies
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import select_tested_values
@@ -94,7 +94,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
             key,
             part,
             _word_sizes(result, key, values, single),
-            sure[key] and bool(np.any(part >= SHOWN.share)),
+            sure[key] and bool(np.any(part >= NAMED_SHARE)),
         )
         for key, part in parts.items()
     ]

@@ -13,20 +13,12 @@ from asbuilt.identification.effects.effect import EFFECTS, GROUPS, FoundEffect, 
 from asbuilt.tables import Cell, Column, Shown, Table, round_significant, stack_tables, wrap_text
 from asbuilt.tables import format_share as percentage
 
-
-@dataclass(frozen=True, slots=True)
-class ShownShares:
-    """Say which shares of an error are named: from `share` on, unless more than `left` is open.
-
-    In a table the `brief` largest are.
-    """
-
-    share: float = 0.05
-    left: float = 0.5
-    brief: int = 2
-
-
-SHOWN = ShownShares()
+NAMED_SHARE = 0.05
+"""Share of an error from which on its cause is named."""
+OPEN_SHARE = 0.5
+"""Share of an error without a cause beyond which none is named."""
+BRIEF_CAUSES = 2
+"""Causes in a table: the largest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +203,7 @@ class Attribution:
 def _word_shares(shown: Sequence[EffectShare], k: int) -> str:
     """Return the largest effects with their share; all where some work against the others."""
     if all(effect.share[k] > 0 for effect in shown):
-        named = [(e.effect.replace("_", " "), float(e.share[k])) for e in shown[: SHOWN.brief]]
+        named = [(e.effect.replace("_", " "), float(e.share[k])) for e in shown[:BRIEF_CAUSES]]
         return ", ".join(f"{name} {percentage(share, 0)}" for name, share in named)
     total = sum(float(effect.share[k]) for effect in shown)
     return f"{percentage(total, 0)} {join_names([effect.effect for effect in shown])}"
@@ -220,11 +212,11 @@ def _word_shares(shown: Sequence[EffectShare], k: int) -> str:
 def describe_joint_effects(found: Attribution, k: int, *, brief: bool = False) -> str:
     """Return the effects of joint k's CAD error with share and size, the largest first."""
     left = float(found.unexplained[k])
-    shown = [e for e in found.shares if e.named and abs(e.share[k]) >= SHOWN.share]
+    shown = [e for e in found.shares if e.named and abs(e.share[k]) >= NAMED_SHARE]
     # Against the others an effect counts by its size.
     shown.sort(key=lambda cause: -abs(float(cause.share[k])))
-    if not any(effect.share[k] > 0 for effect in shown) or left > SHOWN.left:
-        whole = "it" if left > 1.0 - SHOWN.share else "most of it"
+    if not any(effect.share[k] > 0 for effect in shown) or left > OPEN_SHARE:
+        whole = "it" if left > 1.0 - NAMED_SHARE else "most of it"
         return "unexplained" if brief else f"nothing explains {whole}"
     if brief:
         return _word_shares(shown, k)

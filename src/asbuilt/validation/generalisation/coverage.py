@@ -117,7 +117,8 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
     """
     if held_out.q.shape[1] < NEAR.fewest_joints:
         return 0.0
-    (q, qd), joints = _stack_states(fitted), held_out.q.shape[1]
+    q, qd = _stack_states(fitted)
+    joints = held_out.q.shape[1]
     fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
     size = np.concatenate([NEAR.position * np.ptp(q, axis=0), NEAR.velocity * fastest])
     moving = size > 0.0

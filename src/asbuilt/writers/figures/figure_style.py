@@ -24,15 +24,13 @@ from asbuilt.validation.residuals import find_contiguous_segments
 from asbuilt.writers.files import data_address
 from asbuilt.writing import atomic_write
 
-BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#E69F00",
-    "#8A8F98",
-    "#22262B",
-    "#5F656D",
-)
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+GREEN = "#009E73"
+ORANGE = "#E69F00"
+GREY = "#8A8F98"
+INK = "#22262B"
+QUIET = "#5F656D"
 MEASURED = BLUE
 AS_BUILT = VERMILION
 CAD = GREY

@@ -68,7 +68,8 @@ class Viewer:
             viser = import_module("viser")
         except ImportError:
             raise MissingExtraError("viser", "view", "the 3-D view") from None
-        self.model, self.motion = model, motion
+        self.model = model
+        self.motion = motion
         # 600: most poses in a saved page.
         self.view = MotionView.of_motion(model, motion, most=600, rate=FRAME_RATE)
         self.port = _find_free_port(host, port)
@@ -219,7 +220,8 @@ class Viewer:
     def _pose(self, q: Array) -> None:
         with self.server.atomic():
             for handle, pose in zip(self._links, link_poses(self.model, q), strict=True):
-                handle.wxyz, handle.position = _convert_to_wxyz(pose[:3, :3]), tuple(pose[:3, 3])
+                handle.wxyz = _convert_to_wxyz(pose[:3, :3])
+                handle.position = tuple(pose[:3, 3])
 
     def _show(self, visible: dict[str, bool], *, opacity: float | None) -> None:
         for layer, shown in visible.items():
@@ -236,7 +238,8 @@ class _Controls:
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
         # Time in the motion, and time of the pose that is shown [s].
-        self.now, self.shown = 0.0, -1.0
+        self.now = 0.0
+        self.shown = -1.0
         gui = viewer.server.gui
         model = viewer.model
         motion = viewer.motion

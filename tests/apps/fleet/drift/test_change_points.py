@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from asbuilt.apps.fleet.drift.variation import (
-    SCAN,
+    DAYS_AFTER,
+    DAYS_BEFORE,
     History,
     NullDistribution,
     estimate_variation,
@@ -48,7 +49,7 @@ def test_probability_of_a_scan_lies_between_one_test_and_the_sum_of_all() -> Non
     d = 30
     for single in (1e-1, 1e-3, 1e-8):
         p = scan_probability(single, d, 4)
-        assert single <= p <= (d - SCAN.after + 1 - SCAN.before) * single
+        assert single <= p <= (d - DAYS_AFTER + 1 - DAYS_BEFORE) * single
 
 
 def test_p_values_with_known_variation_are_uniform() -> None:

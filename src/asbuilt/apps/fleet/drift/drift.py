@@ -21,7 +21,8 @@ from asbuilt.apps.fleet.drift.columns import (
 )
 from asbuilt.apps.fleet.drift.explanation import explain_change
 from asbuilt.apps.fleet.drift.variation import (
-    SCAN,
+    DAYS_AFTER,
+    DAYS_BEFORE,
     WEAK,
     History,
     Variation,
@@ -41,7 +42,7 @@ from asbuilt.validation import benjamini_hochberg
 
 EXAMPLES = 40
 """Robots of a type from which its noise and directions are found."""
-FEWEST_DAYS = SCAN.before + SCAN.after
+FEWEST_DAYS = DAYS_BEFORE + DAYS_AFTER
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,7 +307,7 @@ def conclude_drift(
                 "drift_too_few_days",
                 "info",
                 f"{len(few)} robots have logs of too few days to look for changes ({shown});"
-                f" {SCAN.before} before and {SCAN.after} after are needed",
+                f" {DAYS_BEFORE} before and {DAYS_AFTER} after are needed",
             ),
         ),
         (
@@ -393,7 +394,7 @@ def _measure_distances(
 ) -> tuple[float, ...]:
     """Return the distance of each day from the median of those before the change."""
     y = history.estimates
-    e = y - np.median(y[: max(place or 0, SCAN.before)], axis=0)
+    e = y - np.median(y[: max(place or 0, DAYS_BEFORE)], axis=0)
     r = y.shape[1]
     S = variation.covariance + np.linalg.inv(history.information + WEAK * np.eye(r))
     squares = np.einsum("dr,dr->d", e, np.linalg.solve(S, e[..., None])[..., 0])

@@ -286,15 +286,10 @@ RESOLVED = 40
 """Rank among them below which the simulation is not used."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanRules:
-    """Say where a change may lie: at least so many days before it and after it."""
-
-    before: int = 3
-    after: int = 2
-
-
-SCAN = ScanRules()
+DAYS_BEFORE = 3
+"""Fewest days before a change."""
+DAYS_AFTER = 2
+"""Fewest days from a change on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,7 +401,7 @@ def scan(
         None if there are too few days.
     """
     d, r = score.shape
-    candidates = np.arange(max(SCAN.before, first), d - SCAN.after + 1)
+    candidates = np.arange(max(DAYS_BEFORE, first), d - DAYS_AFTER + 1)
     if not candidates.size:
         return None
     A = np.eye(r) + information @ variation
@@ -433,14 +428,14 @@ def scan(
     )
 
 
-def scan_probability(single: float, d: int, r: int, first: int = SCAN.before) -> float:
+def scan_probability(single: float, d: int, r: int, first: int = DAYS_BEFORE) -> float:
     """Return the probability of so small a least p-value over all candidates of d days.
 
     Simulated without a change where simulations resolve it; below, the sum over the candidates
     (Bonferroni), which bounds it.
     """
     least = _draw_least_probabilities(d, r, first)
-    bound = (d - SCAN.after + 1 - first) * single
+    bound = (d - DAYS_AFTER + 1 - first) * single
     rank = int(np.searchsorted(least, single, side="right"))
     if rank >= RESOLVED:
         return float(min((rank + 1.0) / (DRAWS + 1.0), bound, 1.0))
@@ -451,7 +446,7 @@ def scan_probability(single: float, d: int, r: int, first: int = SCAN.before) ->
 def _draw_least_probabilities(d: int, r: int, first: int) -> Array:
     """Return the least p-values of histories without a change, sorted, (DRAWS,)."""
     rng = np.random.default_rng(0)
-    candidates = np.arange(first, d - SCAN.after + 1)
+    candidates = np.arange(first, d - DAYS_AFTER + 1)
     largest = []
     for _ in range(8):
         sums = np.cumsum(rng.standard_normal((DRAWS // 8, d, r)), axis=1)

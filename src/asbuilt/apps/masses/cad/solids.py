@@ -155,10 +155,8 @@ def _read_body(shape: Element, place: str, folders: Sequence[Path]) -> MeshSolid
             x * y * z, (x, y, z), (y * y + z * z, x * x + z * z, x * x + y * y), 12
         )
     if shape.tag == "cylinder":
-        (r,), (h,) = (
-            read_extents(shape, "radius", 1, place),
-            read_extents(shape, "length", 1, place),
-        )
+        (r,) = read_extents(shape, "radius", 1, place)
+        (h,) = read_extents(shape, "length", 1, place)
         across = 3.0 * r * r + h * h
         sizes = (2.0 * r, 2.0 * r, h)
         return _make_primitive(np.pi * r * r * h, sizes, (across, across, 6.0 * r * r), 12)

@@ -116,7 +116,8 @@ class _Content(pickle.Unpickler):
         if name is None:
             raise ValueError("it has no data.pkl")
         super().__init__(io.BytesIO(archive.read(name)))
-        self._archive, self._root = archive, name.removesuffix("data.pkl")
+        self._archive = archive
+        self._root = name.removesuffix("data.pkl")
         order = f"{self._root}byteorder"
         big = order in names and archive.read(order).strip() == b"big"
         self._order: Literal["<", ">"] = ">" if big else "<"

@@ -43,5 +43,6 @@ class Coupling(Effect):
 def _swap_neighbour(values: Array, k: int) -> Array:
     column = np.zeros_like(values)
     # By virtual work the share acts both ways: each joint gets the other one's motion.
-    column[:, k], column[:, k - 1] = values[:, k - 1], values[:, k]
+    column[:, k] = values[:, k - 1]
+    column[:, k - 1] = values[:, k]
     return column

@@ -353,7 +353,8 @@ class Warming(_OfTorque):
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the drive, or of its viscous friction, times the time passed."""
-        robot, (rigid, torque) = motion.robot, motion.torques
+        robot = motion.robot
+        rigid, torque = motion.torques
         # What is left of the whole torque without rigid bodies is the drive's.
         changing = torque - rigid
         if variant.trial:

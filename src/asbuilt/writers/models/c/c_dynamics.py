@@ -48,7 +48,9 @@ class Mechanism:
     def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
         """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
         n = model.n_joints
-        self.model, self.code, self.tree = model, StraightLine(), model.tree
+        self.model = model
+        self.code = StraightLine()
+        self.tree = model.tree
         # Without couplings every joint of the tree has a coordinate of its own.
         self.coupling = model.constant_coupling("C code") or Coupling(
             np.arange(n), np.eye(n), np.zeros(n)
@@ -62,7 +64,8 @@ class Mechanism:
             )
         )
         self.link_q = self.of_links(self.q, self.coupling.offset)
-        self.link_qd, self.link_qdd = self.of_links(self.qd), self.of_links(self.qdd)
+        self.link_qd = self.of_links(self.qd)
+        self.link_qdd = self.of_links(self.qdd)
         self.cosine, self.sine = (
             [
                 self.code.given(f"{function}({q.written()})", q.name) if joint.is_revolute else none
@@ -224,7 +227,9 @@ class Mechanism:
                 a,
             )
         else:
-            swing, (wx, wy, _), twice = self._derive_swing(at), at.w, Term(2.0)
+            swing = self._derive_swing(at)
+            wx, wy, _ = at.w
+            twice = Term(2.0)
             # a' = a + U q z + 2 w x v z + dv z
             coriolis = ((twice, wy, v), (-twice, wx, v), (dv,))
             turned = replace(
@@ -238,7 +243,9 @@ class Mechanism:
 
     def _derive_swing(self, motion: Motion) -> Matrix:
         """Return `[dw]x + [w]x [w]x`, the acceleration of a point per its position."""
-        (x, y, z), (dx, dy, dz), total = motion.w, motion.dw, self.code.total
+        x, y, z = motion.w
+        dx, dy, dz = motion.dw
+        total = self.code.total
         return (
             # U = [dw]x + w w^T - (w . w) 1, entry by entry.
             (total((-y, y), (-z, z)), total((x, y), (-dz,)), total((x, z), (dy,))),
@@ -271,7 +278,8 @@ class Mechanism:
         if self.tree.joints[j].is_revolute:
             force = self._turn(j, wrench.linear, back=True)
             return Spatial(self._turn(j, wrench.angular, back=True), force)
-        (fx, fy, _), (nx, ny, nz) = wrench.linear, wrench.angular
+        fx, fy, _ = wrench.linear
+        nx, ny, nz = wrench.angular
         q = self.link_q[j]
         total = self.code.total
         # n' = n + q z x f
@@ -334,7 +342,8 @@ class Mechanism:
         """Carry a motion over the motion of joint j."""
         if self.tree.joints[j].is_revolute:
             return Spatial(self._turn(j, screw.angular), self._turn(j, screw.linear))
-        (zx, zy, _), (mx, my, mz) = screw.angular, screw.linear
+        zx, zy, _ = screw.angular
+        mx, my, mz = screw.linear
         q = self.link_q[j]
         total = self.code.total
         # m + z x q e_z

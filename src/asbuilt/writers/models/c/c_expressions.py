@@ -100,7 +100,8 @@ class StraightLine:
 
     def _define(self, text: str, needs: tuple[str, ...]) -> Term:
         name = f"x{len(self.texts)}"
-        self.texts[name], self.needs[name] = text, needs
+        self.texts[name] = text
+        self.needs[name] = needs
         return Term(1.0, name)
 
 
