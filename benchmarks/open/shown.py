@@ -191,8 +191,10 @@ def run_commands(name: str, command: dict[str, Any], folder: Path) -> str:
     environment = os.environ | {"COLUMNS": "80", "PYTHONPATH": str(HOUSE / "src")}
     out = []
     for line in lines:
+        words = shlex.split(line.format(data=SHARED))
+        started = ["-m", "asbuilt"] if words[0] == "asbuilt" else [str(HOUSE / words.pop(1))]
         done = subprocess.run(
-            [sys.executable, "-m", "asbuilt", *shlex.split(line.format(data=SHARED))[1:]],
+            [sys.executable, *started, *words[1:]],
             cwd=folder,
             env=environment,
             capture_output=True,
