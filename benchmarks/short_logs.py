@@ -83,7 +83,7 @@ def main() -> None:
     for name in ("kinova", "schunk"):
         with tempfile.TemporaryDirectory() as folder:
             for fit, seconds, error in scores(tasks()[name], arguments.data, Path(folder)):
-                print(f"{name:8}{fit:40}{seconds:6.2f} s {100 * error:8.2f} %", flush=True)
+                print(f"{name:8}{fit:40}{seconds:6.2f} s {100 * error:8.1f} %", flush=True)
 
 
 if __name__ == "__main__":

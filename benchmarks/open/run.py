@@ -17,6 +17,7 @@ import fcntl
 import hashlib
 import json
 import os
+import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from adapter import LONGEST
 from bench import bench_problem
 from commanded import commanded_problem, rollout_errors
 from legged import against_torques, legged_problem
@@ -51,8 +53,8 @@ SPECIAL = {"legs": legged_problem, "twin": legged_problem, "command": commanded_
 """Kinds of task with a log that is no arm's with torques."""
 ABSENT = "not installed; run with --install"
 """Note of a row that is printed, but takes the place of no other."""
-LONGEST = 900.0
-"""Seconds that a tool may take for one task."""
+PATIENCE = 6.0
+"""How long a tool is waited for in its CPU seconds: a machine may have other work."""
 AHEAD = 3
 """Rows in work or waiting, for each core, beyond which no further task is prepared."""
 PAGES = ("page.py", "pages.py", "shown.py")
@@ -71,11 +73,13 @@ def answered(tool: Tool, problem: Problem, folder: Path) -> dict[str, Any]:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH" or not tool.requires}
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     command = [tool.python, HERE / "adapter.py", tool.path, problem.folder.resolve(), out]
-    settings: dict[str, Any] = {"timeout": LONGEST, "capture_output": True, "text": True}
+    settings: dict[str, Any] = {"timeout": PATIENCE * LONGEST, "capture_output": True, "text": True}
     try:
         done = subprocess.run(command, env=environment | one, check=False, **settings)
     except subprocess.TimeoutExpired:
-        return {"cannot": f"took more than {LONGEST:.0f} s"}
+        return {"cannot": f"hung for {PATIENCE * LONGEST:.0f} s"}
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return {"cannot": f"took more than {LONGEST} s"}
     written = out / "answer.json"
     if not written.exists():
         return {"failed": f"it stopped with exit code {done.returncode} and no answer"}

@@ -28,7 +28,7 @@ NO_ARM = "it fits one servo on a pendulum bench of known mass; a log of an arm i
 LACKS = {"payload": NO_ARM, "fit_legs": NO_ARM}
 STEP = 0.005
 """Step [s] of its simulation: that of its own logs."""
-TRIALS, MODEL = 1000, "m4"
+TRIALS, MODEL = 600, "m4"
 """Simulations of all logs, and its model: Stribeck and load-dependent friction."""
 
 
