@@ -80,6 +80,8 @@ def answered(tool: Tool, problem: Problem, folder: Path) -> dict[str, Any]:
         return {"cannot": f"hung for {PATIENCE * LONGEST:.0f} s"}
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return {"cannot": f"took more than {LONGEST} s"}
+    if done.returncode in (-signal.SIGTERM, -signal.SIGINT):
+        raise InterruptedError(f"{tool.name} was ended from outside: --resume goes on from here")
     written = out / "answer.json"
     if not written.exists():
         return {"failed": f"it stopped with exit code {done.returncode} and no answer"}

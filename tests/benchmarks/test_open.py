@@ -27,7 +27,7 @@ from loops import ClosedChains  # noqa: E402
 from page import best_of, cell, read_results  # noqa: E402
 from pinocchio_regressor import tree_regressor  # noqa: E402
 from plain import Motion, closed_contacts, low_pass  # noqa: E402
-from prepare import cut_logs  # noqa: E402
+from prepare import Problem, cut_logs  # noqa: E402
 from regression import INERTIAL, Regression  # noqa: E402
 from score import (  # noqa: E402
     against_truth,
@@ -38,7 +38,7 @@ from score import (  # noqa: E402
     weight_ratio,
 )
 from task import RESULTS, sha256, tasks  # noqa: E402
-from tool import tools  # noqa: E402
+from tool import interpreter, tools  # noqa: E402
 from twin import CYCLE, ERROR, REPEATED, Twin, errors  # noqa: E402
 from virtual import closed_facts, virtual_problems  # noqa: E402
 
@@ -337,6 +337,30 @@ def test_a_row_is_of_its_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     other = tmp_path / "wls.py"
     other.write_text(tool.path.read_text() + "\n")
     assert runner.code_of(task, replace(tool, path=other)) != runner.code_of(task, tool)
+
+
+def test_a_tool_that_was_ended_from_outside_leaves_no_row(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its old row stays, and the run ends."""
+    adapter = tmp_path / "wls.py"
+    adapter.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGTERM)\n")
+    (tmp_path / "facts.json").write_text(json.dumps(dict.fromkeys(("a",), 1)))
+    tool = replace(tools()["asbuilt"], path=adapter)
+    problem = Problem(tmp_path, load_robot("two-link"), ())
+    with pytest.raises(InterruptedError, match="--resume"):
+        runner.answered(tool, problem, tmp_path)
+
+
+def test_a_python_is_one_that_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for folder, status in (("shim", 127), ("real", 0)):
+        path = tmp_path / folder / "python9.9"
+        path.parent.mkdir()
+        path.write_text(f"#!/bin/sh\nexit {status}\n")
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}/shim:{tmp_path}/real")
+    assert interpreter("9.9") == str(tmp_path / "real" / "python9.9")
+    assert interpreter("9.8") is None
 
 
 def test_what_took_longest_is_measured_first(monkeypatch: pytest.MonkeyPatch) -> None:
