@@ -8,18 +8,17 @@ where contacts no longer count as closed; the one after it may ring.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from adapter import Facts
 from flyer import BASE, projections
-from plain import Motion, closed_contacts, ending_low_pass, logged_motion, low_pass
+from plain import Motion, closed_contacts, logged_motion, low_pass
 from prepare import Array, Problem, write_facts
 from score import relative_error
 from task import Task
-from twin import errors, twin_log
+from twin import twin_log
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.torque import choose_usual_drive
@@ -34,11 +33,9 @@ def legged_problem(task: Task, data: Path, folder: Path) -> Problem:
     source = data / task.description
     model = load_robot(source, base="free", contacts=",".join(task.settings["contacts"]))
     log = read_legged_log(data / task.training[0], model.joint_names[model.n_floating :], task)
-    clean = log
+    known = None
     if task.kind == "twin":
-        clean = log | twin_log(model, log, source, task.settings)
-        rng = np.random.default_rng([task.settings["seed"], 1])
-        log = clean | {"tau": clean["tau"] + errors(log["t"], clean["tau"], rng)}
+        log, known = twin_log(model, log, source, task.settings)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(source.read_text())
     middle = int(task.settings["trained"] * len(log["t"]))
@@ -46,7 +43,6 @@ def legged_problem(task: Task, data: Path, folder: Path) -> Problem:
     rest = {key: x[middle:] for key, x in log.items()}
     rate = float(round(1.0 / np.median(np.diff(log["t"])), 3))
     states = logged_motion(rest, rate, task.cutoff)
-    true = ending_low_pass(clean["tau"][middle:], rate, task.cutoff)
     kept = {key: getattr(states, key) for key in ("t", "q", "qd", "qdd")}
     np.savez(folder / "test_0.npz", **kept, contact=rest["contact"])
     names = list(model.joint_names[model.n_floating :])
@@ -64,22 +60,23 @@ def legged_problem(task: Task, data: Path, folder: Path) -> Problem:
         description=str(source.resolve()),
     )
     mass = sum(link.inertia.mass for link in model.links)
-    known = (true,) if task.kind == "twin" else ()
-    return Problem(folder, model, (np.array(states.tau),), mass=float(mass), clean=known)
+    true = () if known is None else (known(states),)
+    return Problem(folder, model, (np.array(states.tau),), mass=float(mass), clean=true)
 
 
 def against_torques(problem: Problem, answer: Array) -> dict[str, Any]:
-    """Return the error of an answer (N, 6 + n), and where they are known that from true torques.
+    """Return the error of an answer (N, 6 + n), and where it is known that from the true torques.
 
-    `floor` is the error of the true torques themselves: what is below it fits errors of the log.
+    These are of the true bodies and drives in the states of the test; `floor` is their own error:
+    what is below it fits errors of the log.
     """
     found: dict[str, Any] = {}
     pairs = [projected_errors(problem, answer)]
     found["error"], found["per_joint"] = relative_error(pairs, "torque")
-    if problem.clean:
-        known = replace(problem, hidden=problem.clean)
-        true = np.hstack([np.zeros((len(answer), BASE)), problem.clean[0]])
-        found["true_error"] = relative_error([projected_errors(known, answer)], "torque")[0]
+    for true in problem.clean:
+        logged = np.hstack([np.zeros((len(answer), BASE)), problem.hidden[0]])
+        away = [projected_errors(problem, logged + answer - true)]
+        found["true_error"] = relative_error(away, "torque")[0]
         found["floor"] = relative_error([projected_errors(problem, true)], "torque")[0]
     return found
 
