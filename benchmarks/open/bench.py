@@ -28,7 +28,7 @@ URDF = """<robot name="bench">
 <link name="arm"><inertial><origin xyz="0 0 {centre}"/><mass value="{mass}"/>
 <inertia ixx="{inertia}" iyy="{inertia}" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="servo" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="1 0 0"/>
-<limit lower="-3.1" upper="3.1" velocity="5" effort="8"/></joint></robot>
+<limit lower="-3.1" upper="3.1" velocity="5" effort="14"/></joint></robot>
 """
 GRAVITY = 9.80665
 
@@ -81,8 +81,8 @@ def bench_problem(task: Task, folder: Path) -> Problem:
     path.write_text(URDF.format(mass=mass, centre=-centre, inertia=inertia))
     described = load_robot(path)
     (joint,) = described.joints
-    guess = replace(joint.drive, kp=task.settings["datasheet_kp"])
-    model = replace(described, joints=(replace(joint, drive=guess),))
+    stated = replace(joint.drive, **task.settings["datasheet"])
+    model = replace(described, joints=(replace(joint, drive=stated),))
     logs = [_log(command, pendulum, rng) for command in _commands(rng)]
     return write_commanded(task, model, logs[:3], logs[3:], folder)
 

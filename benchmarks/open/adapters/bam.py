@@ -31,6 +31,9 @@ STEP = 0.005
 TRIALS, MODEL = 600, "m4"
 """Simulations of all logs, and its model: Stribeck and load-dependent friction."""
 
+KEYS = {"mass": "load", "arm_mass": "arm", "length": "length", "kp": "gain", "vin": "vin"}
+"""What its logs say of the bench, by the names that the task has for it."""
+
 
 class Servo(VoltageControlledActuator):
     """A DC motor behind a position gain; bounds are those of its servos of this size."""
@@ -72,9 +75,7 @@ def follow(facts: Facts) -> list[Any]:
     found = []
     for log in facts.logs(facts.test):
         simulator.reset(log["q"][:, 0], log["qd"][:, 0])
-        model.actuator.load_log(
-            batch | {key: batch[key][0] for key in ("mass", "arm_mass", "length")}
-        )
+        model.actuator.load_log({key: each[0] for key, each in batch.items() if key in KEYS})
         path = []
         for k in range(every * (round(facts.horizon * facts.rate) - 1) + 1):
             path += [] if k % every else [np.array(simulator.q)]
@@ -89,8 +90,7 @@ def follow(facts: Facts) -> list[Any]:
 def batched(facts: Facts, pendulum: dict[str, float]) -> dict[str, Any]:
     """Return all logs in its format, with the command held between samples."""
     logs = facts.logs()
-    keys = {"mass": "load", "arm_mass": "arm", "length": "length", "kp": "gain", "vin": "vin"}
-    batch: dict[str, Any] = {key: np.full(len(logs), pendulum[own]) for key, own in keys.items()}
+    batch: dict[str, Any] = {key: np.full(len(logs), pendulum[own]) for key, own in KEYS.items()}
     states = [plain_motion(log["t"], log["q"], None, facts.rate, facts.cutoff) for log in logs]
     grid = np.arange(0.0, min(each.t[-1] for each in states), STEP)
     held = np.floor(grid * facts.rate + 1e-6) / facts.rate
