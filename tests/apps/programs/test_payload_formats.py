@@ -1,14 +1,15 @@
-"""Payloads in the words of makers, read back by parsers written here from the makers' manuals.
+"""Payloads in the words of makers, read back by parsers written from the makers' manuals.
 
-The inertia that is read is compared by other roads: MuJoCo's `fullinertia` and principal axes, and
-rotations of SciPy.
+The parsers are those of `benchmarks/payload_makers.py`, which prints what they read. The inertia
+that is read is compared by other roads: MuJoCo's `fullinertia` and principal axes, and rotations of
+SciPy.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,74 +23,19 @@ from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.writers import PAYLOAD_FORMATS, CarriedBody, read_stored_payload, write_payload
 from command_line import call
 
-MASS = 1.8
-CENTRE = np.array([0.03, -0.02, 0.09])
-INERTIA = np.array([[0.011, 0.001, -0.0007], [0.001, 0.009, 0.0005], [-0.0007, 0.0005, 0.006]])
-BODY = CarriedBody("ur10e", "tool0", MASS, 0.02, CENTRE, INERTIA)
-Read = tuple[float, np.ndarray, np.ndarray]
-
-
-def numbers(text: str) -> list[float]:
-    return [float(each) for each in re.findall(r"-?\d+\.\d+", text)]
-
-
-def symmetric(six: list[float]) -> np.ndarray:
-    xx, yy, zz, xy, xz, yz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def code(text: str, comment: str) -> str:
-    return "\n".join(line for line in text.splitlines() if not line.startswith(comment))
-
-
-def read_ur(text: str) -> Read:
-    mass, *rest = numbers(code(text, "#"))
-    return mass, np.array(rest[:3]), symmetric(rest[3:9])
-
-
-def read_franka(text: str) -> Read:
-    mass, *rest = numbers(code(text, "//"))
-    return mass, np.array(rest[:3]), np.array(rest[3:]).reshape(3, 3).T
-
-
-def read_kuka(text: str) -> Read:
-    found = {
-        part: {axis: float(x) for axis, x in re.findall(r"([XYZABC]) (-?[\d.]+)", inside)}
-        for part, inside in re.findall(r"(CM|J) \{([^}]*)\}", text)
-    }
-    place = found["CM"]
-    turned = Rotation.from_euler("ZYX", [place[each] for each in "ABC"], degrees=True).as_matrix()
-    inertia = turned @ np.diag([found["J"][each] for each in "XYZ"]) @ turned.T
-    mass = float(re.findall(r"\{M ([\d.]+)", text)[0])
-    return mass, np.array([place[each] for each in "XYZ"]) / 1e3, inertia
-
-
-def read_abb(text: str) -> Read:
-    mass, x, y, z, q1, q2, q3, q4, *moments = numbers(code(text, "!"))
-    turned = Rotation.from_quat([q2, q3, q4, q1]).as_matrix()
-    return mass, np.array([x, y, z]) / 1e3, turned @ np.diag(moments) @ turned.T
-
-
-def read_fanuc(text: str) -> Read:
-    mass, *rest = numbers(code(text, "#"))
-    # One kilogram of force is 9.80665 N, one of it times cm s^2 is 0.0980665 kg m^2.
-    return mass, np.array(rest[:3]) / 100, np.diag(rest[3:]) * 0.0980665
-
-
-def read_yaskawa(text: str) -> Read:
-    mass, *rest = numbers(code(text, "#"))
-    return mass, np.array(rest[:3]) / 1e3, np.diag(rest[3:])
-
-
-def read_doosan(text: str) -> Read:
-    mass, *rest = numbers(code(text, "#"))
-    return mass, np.array(rest[:3]) / 1e3, symmetric(rest[3:])
-
-
-READERS: dict[str, Callable[[str], Read]] = {
-    "ur": read_ur, "franka": read_franka, "kuka": read_kuka, "abb": read_abb,
-    "fanuc": read_fanuc, "yaskawa": read_yaskawa, "doosan": read_doosan,
-}  # fmt: skip
+sys.path.append(str(Path(__file__).parents[3] / "benchmarks"))
+from payload_makers import (
+    BODY,
+    CENTRE,
+    INERTIA,
+    MASS,
+    READERS,
+    code,
+    keep,
+    numbers,
+    read_abb,
+    read_ur,
+)
 
 
 def in_mujoco(mass: float, centre: np.ndarray, inertia: np.ndarray) -> Any:
@@ -114,7 +60,7 @@ def test_what_is_written_is_the_same_body(maker: str, tmp_path: Path) -> None:
     mass, centre, inertia = READERS[maker](files[maker].read_text())
     assert mass == pytest.approx(MASS, rel=1e-7)
     np.testing.assert_allclose(centre, CENTRE, rtol=1e-7)
-    kept = INERTIA if PAYLOAD_FORMATS[maker].has_products else np.diag(np.diagonal(INERTIA))
+    kept = keep(maker)
     np.testing.assert_allclose(inertia, kept, rtol=1e-6, atol=1e-10)
     model, told = in_mujoco(mass, centre, inertia), in_mujoco(MASS, CENTRE, kept)
     np.testing.assert_allclose(model.body_inertia[1], told.body_inertia[1], rtol=1e-6)
@@ -237,3 +183,12 @@ def test_stored_payload_on_the_command_line(
     assert (status, "--to MAKER=FILE" in err) == (2, True)
     status, _, err = call(capsys, "payload", path, "--to", "ur")
     assert (status, "--to takes FORMAT=FILE" in err) == (2, True)
+
+
+def test_a_tilde_after_the_maker_is_the_home_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shells expand it only at the beginning of a word."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert call(capsys, "payload", stored(tmp_path, []), "--to", "ur=~/p.script")[0] == 0
+    assert read_ur((tmp_path / "p.script").read_text())[0] == MASS

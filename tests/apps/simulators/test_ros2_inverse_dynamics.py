@@ -19,6 +19,7 @@ from asbuilt.identification import IdentificationResult, identify_samples
 from asbuilt.writers import export_result
 
 HEADERS = Path(__file__).parent / "ros2_headers"
+CONFIGS = Path(__file__).parent / "ros2_cmake"
 COMPILER = shutil.which("g++")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C++ compiler")
 FUNCTIONS = """
@@ -148,4 +149,29 @@ def test_an_impossible_robot_is_exported_as_it_was_identified(tmp_path: Path) ->
     assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == {
         "package.xml", "CMakeLists.txt", "plugin.xml", "solver.hpp", "solver.cpp", "dynamics.c",
         "dynamics.h", "test_solver.cpp",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no CMake")
+@needs_compiler
+@pytest.mark.study
+def test_the_package_is_built_tested_and_installed_by_cmake(tmp_path: Path) -> None:
+    """As `colcon build` and `colcon test` do, with configurations of our own for what ROS has."""
+    result = identified("armature,viscous,coulomb,offset")
+    export_result(result, simulators={"ros2-inverse-dynamics": tmp_path / "package"})
+    build = tmp_path / "build"
+    installed = tmp_path / "install"
+    places = [f"-D{path.stem.removesuffix('Config')}_DIR={CONFIGS}" for path in CONFIGS.iterdir()]
+    commands = (
+        ["cmake", "-S", tmp_path / "package", "-B", build, f"-DCMAKE_INSTALL_PREFIX={installed}",
+         *places],
+        ["cmake", "--build", build, "--target", "install"],
+        ["ctest", "--test-dir", build, "--output-on-failure", "--no-tests=error"],
+    )  # fmt: skip
+    for command in commands:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "Warning" not in done.stdout + done.stderr
+    assert {path.name for path in installed.rglob("*") if path.is_file()} >= {
+        "libur10e_as_built.so", "plugin.xml", "solver.hpp", "export_ur10e_as_built.cmake",
     }  # fmt: skip

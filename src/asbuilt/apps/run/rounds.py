@@ -359,8 +359,9 @@ def without_hold_out(study: Study) -> tuple[Finding, ...]:
 FOLLOWED = 0.4
 """RMS distance of a joint from the motion, in standard deviations of the motion, that a log may
 have at the best shift in time; controllers lag by less, other motion is farther off by 1."""
-STILL = 0.02
-"""Standard deviation [rad or m] below which a joint need not follow: as good as at rest."""
+SAGGED = 0.05
+"""RMS distance [rad or m] that a log may have beyond that: friction and the load on a soft servo
+hold a joint that hardly moves this far from its motion."""
 RATE = 50.0
 """Rate at which log and motion are compared [Hz]; no arm moves a radian between two samples."""
 SHORTER = 0.9
@@ -373,37 +374,45 @@ def check_log(model: RobotModel, recording: Recording, motion: Motion) -> None:
     It may begin before the motion and end after it.
     """
     asbuilt.check_recording(model, recording).raise_errors()
-    cure = Cure("run the motion of this round to its end, and give its log")
+    cure = Cure(
+        "run the motion of this round to its end, give its log, and resume the loop",
+        {"resume": True},
+    )
     if recording.duration < SHORTER * motion.duration:
         raise RecordingError(
             f"{recording.source} lasts {recording.duration:.3g} s, the motion that was sent"
             f" {motion.duration:.3g} s",
             cure=cure,
         )
-    distance = measure_distance(recording, motion)
-    joint = int(np.argmax(distance))
-    if distance[joint] > FOLLOWED:
+    distance, size = measure_distance(recording, motion)
+    joint = int(np.argmax(distance / _allow_distance(size)))
+    if distance[joint] > _allow_distance(size)[joint]:
         raise RecordingError(
             f"{recording.source} is not a log of the motion that was sent:"
-            f" {model.joint_names[joint]} is off by {100 * distance[joint]:.0f} % of the size of"
-            " its motion",
+            f" {model.joint_names[joint]} is off by {distance[joint]:.2g}, where its motion is of"
+            f" the size {size[joint]:.2g} (standard deviations in rad or m)",
             cure=cure,
             joint=model.joint_names[joint],
         )
 
 
-def measure_distance(recording: Recording, motion: Motion) -> Array:
-    """Return the RMS distance of each joint (n,) from a motion, in standard deviations of it.
+def _allow_distance(size: Array) -> Array:
+    """Return the distance (n,) [rad or m] up to which joints have followed motion of a size."""
+    return FOLLOWED * size + SAGGED
+
+
+def measure_distance(recording: Recording, motion: Motion) -> tuple[Array, Array]:
+    """Return the RMS distance of each joint (n,) from a motion, and the size of that motion.
 
     At the shift in time at which all joints together are closest, and without a constant offset,
-    as servos sag; zero where a joint rests.
+    as servos sag; the size is the standard deviation. Both are in rad or m.
     """
     sent = motion.derivative(motion.sample_times(RATE))
     t = np.arange(recording.t[0], recording.t[-1], 1.0 / RATE)
     logged = np.stack([np.interp(t, recording.t, column) for column in recording.q.T], axis=1)
     sent = sent[: len(logged)]
     size = sent.std(axis=0)
-    scale = np.where(size > STILL, 1.0 / np.maximum(size, STILL), 0.0)
+    scale = 1.0 / _allow_distance(size)
     a = logged * scale
     b = (sent - sent.mean(axis=0)) * scale
     sums = _add_windows(a, len(b))
@@ -412,7 +421,7 @@ def measure_distance(recording: Recording, motion: Motion) -> Array:
     # |a - mean a - b|^2 = |a|^2 - |sum a|^2 / N - 2 a.b + |b|^2 of every shift at once.
     squares = energy - sums**2 / len(b) - 2.0 * np.stack(cross, axis=1) + np.sum(b**2, axis=0)
     best = squares[int(np.argmin(squares.sum(axis=1)))]
-    return np.asarray(np.sqrt(np.maximum(best, 0.0) / len(b)))
+    return np.asarray(np.sqrt(np.maximum(best, 0.0) / len(b)) / scale), size
 
 
 def _add_windows(values: Array, length: int) -> Array:

@@ -333,7 +333,8 @@ def parse_places(to: Sequence[str] | None) -> dict[str, Path]:
             raise UsageError(f"--to takes FORMAT=FILE, got {each!r}", value=each)
         if key in places:
             raise UsageError(f"--to {key} is given twice", value=each)
-        places[key] = Path(place)
+        # Shells leave a ~ after FORMAT= as it is.
+        places[key] = Path(os.path.expanduser(place))
     return places
 
 

@@ -22,7 +22,12 @@ from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.servo.servo_replay import Replay
-from asbuilt.identification.servo.servo_rows import block_variances, block_weights, sum_clusters
+from asbuilt.identification.servo.servo_rows import (
+    block_energies,
+    block_variances,
+    block_weights,
+    sum_clusters,
+)
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors
 from asbuilt.identification.uncertainty.pose_noise import DOUBT
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
@@ -76,7 +81,7 @@ def find_scale(
     drives zero); armature and friction of the joint are free and have no scale. There is no
     constant torque: a servo has none, and over a small range of motion gravity is almost constant,
     so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with
-    their residual variance r, so that contact does not count. The stiffness is shared by all
+    their residual variance r, so that collisions do not count. The stiffness is shared by all
     unknown joints if asked, or if some joint's rows do not determine its own.
 
     Raises nothing: a stiffness that nothing determines has an infinite standard error.
@@ -155,7 +160,7 @@ def _estimate_own_scale(
 def _find_varying_columns(base: BaseParameters) -> Indices:
     """Return the drive columns that are no constant torque.
 
-    Rows have columns of other joints only where forces at contacts are projected away.
+    Rows have columns of other joints only where reactions are projected away.
     """
     varies = [s not in Offset.symbols for term in base.drive.terms for s in term.symbols]
     return np.flatnonzero(np.resize(varies, base.n_standard - 10 * base.n_links))
@@ -289,7 +294,7 @@ def fit_delay(
         for k, residual in enumerate(residuals):
             # Noise variances of joints and weights of blocks follow from the residual in turn.
             own = block_weights(rows, k, residual)
-            energy = float(residual @ rows.of_joint(k, own) @ residual)
+            energy = float(own @ block_energies(rows, k, residual))
             scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
             weight[k] = own * scale[k]
     # The row of the delay, given everything that is not at a bound.

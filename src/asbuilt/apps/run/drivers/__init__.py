@@ -6,6 +6,7 @@ of the group `asbuilt.drivers`: a module that registers a function from `DriverR
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +66,8 @@ class DriverRequest:
         """The argument as a folder; raises `UsageError` without one."""
         if not self.argument:
             raise UsageError("the driver files needs a folder: files:DIR")
-        return Path(self.argument)
+        # Shells leave a ~ after the colon as it is.
+        return Path(os.path.expanduser(self.argument))
 
 
 DRIVERS: Registry[Callable[[DriverRequest], Driver]] = Registry(
