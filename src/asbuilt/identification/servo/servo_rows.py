@@ -335,7 +335,7 @@ def block_energies(rows: Equations, k: int, residual: Array) -> Array:
     """
     size = np.abs(residual)
     rounding = np.finfo(float).eps * np.einsum("i,bij,j->b", size, np.abs(rows.grams[k]), size)
-    return np.maximum(rows.energies(k, residual), rounding)
+    return np.asarray(np.maximum(rows.energies(k, residual), rounding))
 
 
 def block_variances(rows: Equations, k: int, residual: Array) -> Array:
