@@ -49,10 +49,11 @@ FINE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class BodiesUse:
-    """Say whether to use the exported links as bodies, and why not."""
+    """Say whether to use the exported links as bodies, and why not; `reasons` are codes."""
 
     use: Use
     text: str = ""
+    reasons: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,12 @@ class Verdict:
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def use_for_torque(self) -> Use:
+        """Whether to use its torque, whatever speaks against its links as bodies."""
+        alone = set(self.reasons) <= set(self.bodies.reasons)
+        return "yes" if self.use == "with care" and alone else self.use
 
 
 def study_verdict(
@@ -152,7 +159,8 @@ def _decide_bodies(reasons: Sequence[Reason]) -> BodiesUse:
     if not reasons:
         return BodiesUse("yes")
     forbidden = any(reason.forbids for reason in reasons)
-    return BodiesUse("no" if forbidden else "with care", reasons[0].text)
+    codes = tuple(dict.fromkeys(reason.code for reason in reasons))
+    return BodiesUse("no" if forbidden else "with care", reasons[0].text, codes)
 
 
 def _write_verdict(
