@@ -399,6 +399,10 @@ DIMMING: Mapping[str, str] = MappingProxyType(
     }
 )
 """Text of each finding that speaks against a model, the weightiest first."""
+OF_MOTION = frozenset(
+    {"held_out_repeats", "nothing_held_out", "not_excited", "motion_narrow", "motion_slow"}
+)
+"""Reasons why the error on other motion may be another one than that of the sentence."""
 OF_TORQUE = frozenset(
     {
         "torque_scale",

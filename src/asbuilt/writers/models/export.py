@@ -125,7 +125,7 @@ def export_result(
 ) -> Export:
     """Write the identified robot into the files named.
 
-    The links are closest to CAD within the standard errors of the identified parameters.
+    The links are closest to CAD within the noise of the torques of the data used.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asbuilt import writers
 from asbuilt.errors import DescriptionError, IdentifiabilityError
@@ -18,7 +18,6 @@ from asbuilt.identification import (
 )
 from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.recovery import Recovery
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
 from asbuilt.writers.tables.drive_tables import tabulate_motor_side
@@ -37,6 +36,9 @@ from asbuilt.writers.tables.tabular import (
     write_json,
 )
 from asbuilt.writing import atomic_write, file_set
+
+if TYPE_CHECKING:
+    from asbuilt.validation.recovery import Recovery
 
 MEMBERS = (
     "result.json",

@@ -294,8 +294,8 @@ def mass_table(masses: ExportedMasses) -> Table:
         "Masses of the links",
         notes=(
             "Feasible: least and greatest over all physically consistent robots with these torques"
-            " (95 %). Chosen: links of the exported robot, the closest to CAD within the standard"
-            " errors.",
+            " (95 %). Chosen: links of the exported robot, the closest to CAD within the noise of"
+            " the torques.",
         ),
     )
 
@@ -316,8 +316,8 @@ def feasible_table(intervals: Sequence[FeasibleInterval], condition: str = "") -
         ),
         notes=(
             "Feasible: least and greatest over all physically consistent robots with the torques of"
-            " these recordings. Chosen: the exported robot, closest to CAD within the standard"
-            " errors.",
+            " these recordings. Chosen: the exported robot, closest to CAD within the noise of"
+            " the torques.",
             *([condition] if condition else []),
         ),
     )
