@@ -39,7 +39,8 @@ class Problem:
     """A prepared task: its folder, the robot, the hidden torques and, where known, the truth.
 
     `hidden` holds for each test the torque as logged (N, n) on the grid of its states. `truth` are
-    standard parameters by name.
+    standard parameters by name, `clean` the torques of a
+    true robot with a free base in the states of a test (N, 6 + n).
     """
 
     folder: Path
@@ -47,6 +48,7 @@ class Problem:
     hidden: tuple[Array, ...]
     truth: dict[str, float] | None = None
     mass: float | None = None
+    clean: tuple[Array, ...] = ()
 
 
 def read_task_logs(
