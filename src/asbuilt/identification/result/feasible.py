@@ -24,7 +24,7 @@ from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     find_estimable_root,
 )
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.result import IdentificationResult, Identified
 from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.tables import format_plus_minus, format_range, round_significant
 
@@ -162,7 +162,7 @@ class _Quantity:
 
 
 def feasible_intervals(
-    result: IdentificationResult,
+    result: IdentificationResult | Identified,
     quantities: Sequence[str] = (),
     *,
     prior: Literal["cad"] | None = None,
@@ -181,7 +181,7 @@ def feasible_intervals(
     Parameters
     ----------
     result
-        The result.
+        The result, or its study.
     quantities
         `mass` (of all links), `mass:LINK`, `mass:LINK+LINK`, `com:LINK` (three axes) or `cx:LINK`,
         `mx:LINK`, `Ixx:LINK` in axes of the link at its origin, and a drive term or one of its
@@ -213,6 +213,7 @@ def feasible_intervals(
     DescriptionError
         If the description has no shapes.
     """
+    result = result.result
     found = [each for text in quantities or _default(result) for each in _parse(result, text)]
     allowed = result.once((_find_region, region), lambda: _find_region(result, region))
     stated = prior is not None or geometry

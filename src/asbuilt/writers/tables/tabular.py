@@ -124,6 +124,7 @@ def validate_document(
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
         "cad": [validation.metrics_cad.as_dict() for validation in validations],
         "verdict": [cad_verdict(validation).as_dict() for validation in validations],
+        "load": [make_plain(validation.load) for validation in validations],
         "files": path_texts(files),
     }
 
