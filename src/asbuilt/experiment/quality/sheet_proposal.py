@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import Any
 
 import numpy as np
@@ -77,12 +78,14 @@ class SheetProposal:
     def text(self) -> str:
         """The sheet as TOML, with the reasons as comments."""
         head = ["# How the log is read, as asbuilt check found it; correct what is wrong."]
-        head += [f"# {line}" for reason in self.reasons for line in _fold(reason)]
+        # Names and paths stay whole.
+        fold = TextWrapper(76, break_long_words=False, break_on_hyphens=False).wrap
+        head += [f"# {line}" for reason in self.reasons for line in fold(reason)]
         return "\n".join([*head, *format_sheet(self.content)]) + "\n"
 
 
 def propose_sheet(
-    model: RobotModel, paths: Sequence[Path], options: ReadingOptions | None = None
+    model: RobotModel, files: Sequence[str | Path], options: ReadingOptions | None = None
 ) -> SheetProposal:
     """Return the sheet with which a log can be read, and the check of the log as read with it.
 
@@ -94,7 +97,7 @@ def propose_sheet(
     ----------
     model
         Robot as described.
-    paths
+    files
         The log: a file, a folder, or files of one quantity each.
     options
         How it is read.
@@ -105,6 +108,7 @@ def propose_sheet(
         The sheet, complete: columns, units, clock and sign.
     """
     chosen = options or ReadingOptions()
+    paths = [Path(path) for path in files]
     given, _ = find_sheet(paths[0], chosen.sheet)
     # Fields that the log's own sheet gives are no proposal.
     content = given.model_dump(exclude_unset=True, exclude_none=True)
@@ -157,6 +161,12 @@ def _state_options(
     if options.torque_source is not None:
         stated["torque_source"] = options.torque_source
         left = replace(left, torque_source=None)
+    if options.window is not None:
+        stated["windows"] = [
+            {"start": start, "stop": stop} if math.isfinite(stop) else {"start": start}
+            for start, stop in options.windows
+        ]
+        left = replace(left, window=None)
     if options.flip_torque and "sign" not in stated:
         stated["sign"] = -1
         left = replace(left, flip_torque=False)
@@ -384,13 +394,3 @@ def _find_span(value: Any) -> str:
     rises = numbers == [*range(numbers[0], numbers[0] + len(numbers))]
     text = f"{listed[0]}-{listed[-1]}"
     return json.dumps(text, ensure_ascii=False) if len(stems) == 1 and rises else ""
-
-
-def _fold(text: str, width: int = 76) -> list[str]:
-    """Return a text in lines of a width."""
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return lines

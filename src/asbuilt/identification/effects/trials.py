@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices
@@ -217,18 +217,27 @@ class Trials:
         length = self._total.diagonal
         self._size = np.sqrt(length)
         self._acts = length > RULES.acting * _find_largest(candidates, length)
-        # The training equations are the total less the group's: leaving out costs no pass.
-        self._without = [self._total.less(rows.squares(weights, group)) for group in groups]
-        self._torque = np.array([_sum_torques(rows, group) for group in groups])
-        """Squared torque of each held-out group and joint."""
         self._n_samples = max(rows.n_samples, 1)
         rms = np.sqrt(_sum_torques(rows) / self._n_samples)
         # A joint without torque would divide by zero; below rounding of the others it has none.
         tiny = np.finfo(np.float64).tiny
         least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
         self._rms = np.maximum(rms, least)
-        self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
+        self._factored: dict[tuple[int, bytes], tuple[Array, Array]] = {}
         self.taken: list[Candidate] = []
+
+    # What only trials ask is derived by the first one: a search settles values without any.
+
+    @cached_property
+    def _without(self) -> list[Squares]:
+        """The training equations of each group: the total less the group's, without a pass."""
+        squares = self.rows.squares
+        return [self._total.less(squares(self.weights, group)) for group in self._groups]
+
+    @cached_property
+    def _torque(self) -> Array:
+        """Squared torque of each held-out group and joint."""
+        return np.array([_sum_torques(self.rows, group) for group in self._groups])
 
     @cached_property
     def _halves(self) -> tuple[Squares, Squares]:
@@ -394,18 +403,20 @@ class Trials:
         key = (id(squares), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
-            factor = cho_factor(self._build_normal(squares, inside)[0])
+            root, failed = lapack.dpotrf(self._build_normal(squares, inside)[0], overwrite_a=True)
+            if failed:
+                raise np.linalg.LinAlgError("normal equations of effects are singular")
             b = squares.at(inside, torque)[:, 0]
-            model = np.flatnonzero(inside < self.n_base)
+            model = inside < self.n_base
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
-            self._factored[key] = factor, cho_solve(factor, b)
-        factor, solution = self._factored[key]
+            self._factored[key] = root, lapack.dpotrs(root, b)[0]
+        root, solution = self._factored[key]
         residual = np.zeros(self.rows.n_columns + 1)
         residual[inside] = -solution
         residual[-1] = 1.0
         across = squares.at(columns, inside)
         score = squares.at(columns, torque)[:, 0] + across @ residual[inside]
-        moves = cho_solve(factor, across.T)
+        moves = lapack.dpotrs(root, across.T)[0] if len(columns) else across.T
         return _Fit(squares, residual, inside, columns, moves, across, score)
 
     def _build_normal(self, squares: Squares, inside: Indices) -> tuple[Array, Array]:
