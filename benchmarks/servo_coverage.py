@@ -26,7 +26,7 @@ from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 from asbuilt.workflow.prepare import prepare
-from asbuilt.workflow.servo import drop_unexplained, settle_servo, with_delay_errors
+from asbuilt.workflow.servo import settle_servo
 from asbuilt.workflow.study_options import StudyOptions
 
 REPETITIONS = 20
@@ -99,14 +99,13 @@ def _errors(
     recording = _recorded(truth, servo, noise, rng)
     driven = drive_by_command(recording, replace(servo, delay=None))
     options = StudyOptions(drive=DRIVE, checked=False)
-    (item,), _, found, options = settle_servo(described, [driven], [], options)
-    if found is None:
-        raise ValueError("the recording has no servo")
+    (item,), _, source, options = settle_servo(described, [driven], [], options)
+    found = source.servo
     prepared = prepare(described, [item], chain=options.chain, checked=False, estimate_delay=False)
-    training = drop_unexplained(prepared, [item], found).training
+    training = source.settle_samples(prepared, [item]).training
     base = find_base_parameters(described, DRIVE)
-    fit = fit_samples(described, training, base=base, method="auto", expected=found.expected)
-    fit = with_delay_errors(fit, found)
+    fit = fit_samples(described, training, base=base, method="auto", expected=source.expected)
+    fit = source.with_errors(fit)
     variance = np.diag(fit.uncertainty.covariance).copy()
     variance += 0.0 if fit.delay is None else np.diag(fit.delay.covariance)
     drives = np.tile([DRIVES.armature, DRIVES.viscous, DRIVES.coulomb], n)

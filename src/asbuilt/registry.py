@@ -7,14 +7,18 @@ import difflib
 import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import lazy_loader
 
 from asbuilt.errors import UsageError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 T = TypeVar("T")
 
@@ -175,8 +179,6 @@ class Registry(Mapping[str, T]):
     def _load(self) -> None:
         if self._complete:
             return
-        from importlib.metadata import entry_points  # noqa: PLC0415 - slow
-
         self._complete = True
         places = find_app_modules(self.group.removeprefix("asbuilt."))
         if self.package is not None:
@@ -185,8 +187,17 @@ class Registry(Mapping[str, T]):
         # An app's modules stand among the core's as if they were in its package.
         for name in sorted(below, key=lambda name: name.removeprefix(below[name])):
             import_module(name)
-        for entry in sorted(entry_points(group=self.group), key=lambda each: each.name):
+        entries = _select_entry_points()(group=self.group)
+        for entry in sorted(entries, key=lambda entry: entry.name):
             entry.load()
+
+
+@cache
+def _select_entry_points() -> Callable[..., EntryPoints]:
+    """Return what selects entry points, of files that take longer to read than most imports."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 - slow
+
+    return entry_points().select
 
 
 def _list_modules(place: str) -> list[str]:

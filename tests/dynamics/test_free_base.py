@@ -15,7 +15,7 @@ from asbuilt.dynamics import (
     inverse_dynamics,
     observation_matrix,
 )
-from asbuilt.dynamics.contact import contact_basis, contact_jacobians, without_contact_forces
+from asbuilt.dynamics.reactions import Reactions, contact_basis, contact_jacobians
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.experiment.free_base.columns import (
     base_rotations,
@@ -132,7 +132,7 @@ def test_projected_rows_are_pinocchios(walker: RobotModel, flyer: Flyer) -> None
     ).reshape(len(tau), walker.n_joints, -1)
     columns = np.moveaxis(Y, 2, 0)
     ours = [
-        without_contact_forces(walker, flyer.ours, closed, np.ascontiguousarray(each))
+        Reactions(closed).project_torque(walker, flyer.ours, np.ascontiguousarray(each))
         for each in (*columns, tau)
     ]
     order = [walker.joint_names.index(name) for name in flyer.model.names[2:]]
@@ -168,16 +168,16 @@ def test_projection_takes_contact_forces_away(walker: RobotModel) -> None:
         for J, force in zip(contact_jacobians(walker, q), forces, strict=True)
     )
     torque = np.asarray(torque)
-    left = without_contact_forces(walker, q, np.ones((50, 2)), torque)
+    left = Reactions(np.ones((50, 2))).project_torque(walker, q, torque)
     assert np.abs(left).max() < 1e-13 * np.abs(torque).max() * 100
-    again = without_contact_forces(walker, q, np.ones((50, 2)), left)
+    again = Reactions(np.ones((50, 2))).project_torque(walker, q, left)
     assert np.allclose(again, left, atol=1e-14)
     kept = np.array(torque)
     torque.setflags(write=False)
     for k in (0, 7):  # the torques of one sample lie in one piece of memory
-        one = without_contact_forces(walker, q[k : k + 1], np.ones((1, 2)), torque[k : k + 1])
+        one = Reactions(np.ones((1, 2))).project_torque(walker, q[k : k + 1], torque[k : k + 1])
         assert np.allclose(one, left[k], atol=1e-14)
-    columns = without_contact_forces(walker, q, np.ones((50, 2)), np.asfortranarray(torque))
+    columns = Reactions(np.ones((50, 2))).project_torque(walker, q, np.asfortranarray(torque))
     assert np.array_equal(columns, left)
     assert np.array_equal(torque, kept)
 

@@ -14,7 +14,7 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics import link_poses
-from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.dynamics.reactions import contact_jacobians
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import (
     check_recording,

@@ -13,11 +13,11 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics import inverse_dynamics
-from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.dynamics.reactions import contact_jacobians
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.signal.band_choice import choose_band
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, plan_grid
-from asbuilt.workflow.delays import settle_rates
+from asbuilt.identification.uncertainty.pose_noise import settle_rates
 
 URDF = """<robot name="monopod">
   <link name="trunk"><inertial><origin xyz=".02 .01 .05"/><mass value="4"/>

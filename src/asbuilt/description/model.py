@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +14,13 @@ from asbuilt.arrays import Array, read_only
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
-    TreeMotion,
     derive_coupling,
     order_tree,
     separate_followers,
     with_rotors,
 )
 from asbuilt.description.structure.free_base import BaseKind, classify_base, count_base_joints
+from asbuilt.description.structure.joint_map import JointMap, OneToOne, TreeMotion
 from asbuilt.description.structure.locking import (
     derive_locked_positions,
     find_assumed_carriers,
@@ -172,7 +172,7 @@ class RobotModel:
                 " loops, or a motor"
             )
         # loops are closed when they are first needed; readers of files ask for it at once
-        assert self.loops or self.coupling is None or self.coupling.of_links.size
+        assert self.loops or self.joint_map.of_links.size
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -261,6 +261,19 @@ class RobotModel:
         return classify_base(self.n_floating)
 
     @property
+    def driven_joints(self) -> range:
+        """Which joints have a drive, counted from 0: all but those of a base that can move."""
+        return range(self.n_floating, self.n_joints)
+
+    @property
+    def has_reactions(self) -> bool:
+        """Whether forces act that nobody measures, and which equations are projected away from.
+
+        Every row then has parts of all joints.
+        """
+        return bool(self.contacts)
+
+    @property
     def mixes_joints(self) -> bool:
         """Whether every equation has parts of all joints, as on a free base.
 
@@ -304,14 +317,12 @@ class RobotModel:
         That is the joint's own, else the one with the largest factor.
         """
         n = self.n_joints
-        if self.coupling is None:
-            return tuple(range(n))
-        return (*range(n), *np.argmax(np.abs(self.coupling.of_links[n:]), axis=1).tolist())
+        return (*range(n), *np.argmax(np.abs(self.joint_map.of_links[n:]), axis=1).tolist())
 
     @property
     def link_shares(self) -> Array:
         """How far the joint of each link moves per unit of each coordinate, (n_links, n_joints)."""
-        return np.eye(self.n_joints) if self.coupling is None else self.coupling.of_links
+        return self.joint_map.of_links
 
     @property
     def tool_link(self) -> int:
@@ -368,8 +379,8 @@ class RobotModel:
         return tuple(joint.parent for joint in self.moving_joints)
 
     @cached_property
-    def coupling(self) -> Coupling | Closure | None:
-        """How the joints of all links move with the coordinates, None where these are the same."""
+    def joint_map(self) -> JointMap:
+        """How the joints of all links move with the coordinates."""
         if self.loops:
             # numba is slow to import, and most robots have no loops
             from asbuilt.description.structure.closure import derive_closure  # noqa: PLC0415
@@ -383,27 +394,31 @@ class RobotModel:
                 self.places,
             )
         if all(joint.mimic is None for joint in self.moving_joints):
-            return None
+            return OneToOne(self.n_joints)
         return derive_coupling(self.name, self.joints, self.followers)
 
     @property
+    def coupling(self) -> JointMap | None:
+        """The `joint_map` where joints follow others, None where all have a drive."""
+        return None if isinstance(self.joint_map, OneToOne) else self.joint_map
+
+    @property
     def closure(self) -> Closure | None:
-        """The `coupling` of a robot with loops, None without."""
-        found = self.coupling
-        return None if found is None or isinstance(found, Coupling) else found
+        """The `joint_map` of a robot with loops, None without."""
+        return cast("Closure", self.joint_map) if self.loops else None
 
     def closed(self) -> RobotModel:
         """Return the robot itself; raises `DescriptionError` where its loops do not close."""
-        assert self.coupling is None or self.coupling.of_links.size
+        assert self.joint_map.of_links.size
         return self
 
-    def constant_coupling(self, purpose: str) -> Coupling | None:
-        """Return the `coupling` where its shares are constant.
+    def constant_map(self, purpose: str) -> Coupling | OneToOne:
+        """Return the `joint_map` where its shares are constant.
 
         Raises `DescriptionError`, which names the `purpose`, for a robot with loops.
         """
-        found = self.coupling
-        if found is None or isinstance(found, Coupling):
+        found = self.joint_map
+        if isinstance(found, (Coupling, OneToOne)):
             return found
         names = join_names([str(loop) for loop in self.loops])
         raise DescriptionError(
@@ -450,8 +465,8 @@ class RobotModel:
 
     @cached_property
     def tree(self) -> RobotModel:
-        """The robot with a drive at every joint, in the order of `coupling`; itself without one."""
-        if self.coupling is None:
+        """The robot with a drive at every joint, in the order of `joint_map`; or itself."""
+        if isinstance(self.joint_map, OneToOne):
             return self
         joints, links, frames = self.in_tree_order()
         return replace(
@@ -550,8 +565,7 @@ class RobotModel:
         """
         n = self.n_joints
         T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
-        if self.coupling is not None:
-            T = np.where(np.all(np.eye(n) == T, axis=1)[:, None], self.link_shares[:n], T)
+        T = np.where(np.all(np.eye(n) == T, axis=1)[:, None], self.link_shares[:n], T)
         return np.where((np.count_nonzero(T, axis=1) <= 1)[:, None], 0.0, T)
 
     def link_positions(self, q: Array) -> Array:
@@ -559,8 +573,6 @@ class RobotModel:
 
         Raises `MotionError` where loops do not close.
         """
-        if self.coupling is None:
-            return q
         return self.link_motion(np.reshape(q, (-1, self.n_joints))).q.reshape(*np.shape(q)[:-1], -1)
 
     def link_motion(
@@ -571,18 +583,10 @@ class RobotModel:
         `q`, `qd`, `qdd` are (N, n_joints); rates not given are zero. Raises `MotionError` where
         loops do not close.
         """
-        if self.coupling is None:
-            still = np.zeros_like(q)
-            rates = [still if part is None else part for part in (qd, qdd)]
-            return TreeMotion(q, rates[0], rates[1], np.eye(self.n_joints))
-        moved = self.coupling.motion(q, qd, qdd)
-        order = np.argsort(self.coupling.order)
-        return TreeMotion(
-            moved.q[:, order],
-            moved.qd[:, order],
-            moved.qdd[:, order],
-            moved.shares[..., order, :],
-        )
+        moved = self.joint_map.motion(q, qd, qdd)
+        by_link = self.joint_map.by_link
+        shares = moved.shares[..., np.argsort(self.joint_map.order), :]
+        return TreeMotion(by_link(moved.q), by_link(moved.qd), by_link(moved.qdd), shares)
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the links from the root to the link of `joint`, itself included, in order."""

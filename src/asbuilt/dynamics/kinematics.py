@@ -8,12 +8,6 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.batches import shape_joint_samples
-from asbuilt.errors import DescriptionError
-
-TRIALS = 20
-"""Batches of random postures after which a mechanism counts as one without room to move."""
-REGULAR = 0.02
-"""Distance to a singular posture from which on rates of passive joints are of usual size."""
 
 
 def _evaluate_link_poses(model: RobotModel, q: Array) -> Array:
@@ -40,13 +34,11 @@ def _evaluate_link_poses(model: RobotModel, q: Array) -> Array:
 def draw_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Array:
     """Return random positions (count, n_joints), of a whole turn for joints of a tree.
 
-    Where loops place joints, they are within the limits of the motors, away from singular postures,
-    and in the assembly mode of the description. Raises `DescriptionError` where there are none.
+    Where not every position has a posture, they are within the limits of the motors, as of
+    `draw_postures_within`.
     """
-    n = model.n_joints
-    closure = model.closure
-    if closure is None:
-        return rng.uniform(-np.pi, np.pi, (count, n))
+    if find_first_posture(model) is None:
+        return rng.uniform(-np.pi, np.pi, (count, model.n_joints))
     lower, upper = (
         np.array([getattr(joint.limits, end) for joint in model.joints])
         for end in ("lower", "upper")
@@ -59,34 +51,15 @@ def draw_postures_within(
 ) -> Array:
     """Return random positions (count, n_joints) that are uniform within bounds, each (n_joints,).
 
-    Where loops place joints, they are those at which the loops close, away from singular postures:
-    limits of a motor often reach farther. Raises `DescriptionError` where there are none.
+    They are postures that exist, away from singular ones. Raises `DescriptionError` where there
+    are none.
     """
-    n = model.n_joints
-    closure = model.closure
-    if closure is None:
-        return rng.uniform(lower, upper, (count, n))
-    home = closure.home[:n]
-    reach = np.pi * closure.scale[:n]
-    lower = np.maximum(lower, home - reach)
-    upper = np.minimum(upper, home + reach)
-    found = np.empty((0, n))
-    for trial in range(TRIALS):
-        width = 1.0 - trial / TRIALS  # nearer to the first posture, the longer it takes
-        q = home + width * (rng.uniform(lower, upper, (count, n)) - home)
-        at = closure.postures(q)
-        found = np.vstack([found, q[at.closed & (at.distance > REGULAR)]])
-        if len(found) >= count:
-            return found[:count]
-    raise DescriptionError(
-        f"{model.name}: of {TRIALS * count} random postures of the motors the loops close at"
-        f" {len(found)}; give limits within which they do"
-    )
+    return model.joint_map.draw(lower, upper, rng, count)
 
 
 def find_first_posture(model: RobotModel) -> Array | None:
-    """Return the motors' positions (n_joints,) of the described posture; None without loops."""
-    return None if model.closure is None else model.closure.home[: model.n_joints]
+    """Return the motors' positions (n_joints,) of the described posture; None where all exist."""
+    return model.joint_map.first_posture
 
 
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:
@@ -96,14 +69,11 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
     before_i motion(q_i) after_i`.
     """
     (qs,) = shape_joint_samples(model, q=q)
-    if (coupling := model.coupling) is not None:
-        of_tree = link_poses(model.tree, coupling.motion(qs).q)
-        return of_tree[:, np.argsort(coupling.order)].reshape(*np.shape(q)[:-1], -1, 4, 4)
-    poses = _evaluate_link_poses(model, qs)
-    for i, parent in enumerate(model.parents):
+    poses = _evaluate_link_poses(model.tree, model.joint_map.motion(qs).q)
+    for i, parent in enumerate(model.tree.parents):
         if parent != ROOT:
             poses[:, i] = poses[:, parent] @ poses[:, i]
-    return poses.reshape(*np.shape(q), 4, 4)
+    return model.joint_map.by_link(poses).reshape(*np.shape(q)[:-1], -1, 4, 4)
 
 
 def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
@@ -115,18 +85,11 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
     i.
     """
     (qs,) = shape_joint_samples(model, q=q)
-    if (coupling := model.coupling) is not None:
-        moved = coupling.motion(qs)
-        of_tree = link_jacobians(model.tree, moved.q) @ (
-            moved.shares if moved.shares.ndim == 2 else moved.shares[:, None]
-        )
-        return of_tree[:, np.argsort(coupling.order)].reshape(
-            *np.shape(q)[:-1], -1, 6, model.n_joints
-        )
-    samples, n = qs.shape
-    motions = _evaluate_link_poses(model, qs)
+    moved = model.joint_map.motion(qs)
+    motions = _evaluate_link_poses(model.tree, moved.q)
+    samples, n = moved.q.shape
     jacobians = np.zeros((samples, n, 6, n))
-    for i, (joint, parent) in enumerate(zip(model.joints, model.parents, strict=True)):
+    for i, (joint, parent) in enumerate(zip(model.tree.joints, model.tree.parents, strict=True)):
         rotation = motions[:, i, :3, :3]
         translation = motions[:, i, :3, 3]
         if parent != ROOT:
@@ -142,4 +105,5 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
             )
         else:
             jacobians[:, i, 3:, i] = axis
-    return jacobians.reshape(*np.shape(q), 6, n)
+    by_link = model.joint_map.by_link(moved.columns(jacobians))
+    return by_link.reshape(*np.shape(q)[:-1], -1, 6, model.n_joints)

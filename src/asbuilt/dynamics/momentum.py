@@ -168,26 +168,20 @@ class Momentum:
     """
 
     def __init__(self, model: RobotModel, chi: Array) -> None:
-        self._coupling = model.coupling
+        self._joint_map = model.joint_map
         self._mechanism = build_mechanism_arrays(model.tree)
-        self._chi = np.ascontiguousarray(
-            chi if self._coupling is None else self._coupling.parameters(chi)
-        )
+        self._chi = np.ascontiguousarray(self._joint_map.parameters(chi))
 
     def __call__(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return p and the gradient of kinetic energy, two (N, n)."""
-        coupling = self._coupling
-        moved = None if coupling is None else coupling.motion(q, qd)
-        state = (q, qd) if moved is None else (moved.q, moved.qd)
-        p = np.empty(state[0].shape)
-        gradient = np.empty(state[0].shape)
-        write_momentum(*self._mechanism, self._chi, *state, p, gradient)
-        if coupling is None or moved is None:
-            return p, gradient
+        moved = self._joint_map.motion(q, qd)
+        p = np.empty(moved.q.shape)
+        gradient = np.empty(moved.q.shape)
+        write_momentum(*self._mechanism, self._chi, moved.q, moved.qd, p, gradient)
         own = moved.torques(gradient)
-        turning = coupling.derivatives(q, qd, np.zeros_like(q))
-        if turning is not None:  # kinetic energy also changes as the shares do
-            own += np.einsum("si,sij->sj", p, turning.turning)
+        change = self._joint_map.derivatives(q, qd, np.zeros_like(q))
+        if change is not None:  # kinetic energy also changes as the shares do
+            own += np.einsum("si,sij->sj", p, change.turning)
         return moved.torques(p), own
 
 

@@ -36,39 +36,39 @@ def _evaluate_torques(
     gravity: Array,
     threads: int | None,
 ) -> Array:
-    if (coupling := model.coupling) is not None:
-        moved = coupling.motion(q, qd, qdd)
-        in_tree = coupling.parameters(chi)
-        state = moved.q, moved.qd, moved.qdd
-        return moved.torques(_evaluate_torques(model.tree, *state, in_tree, gravity, threads))
-    layout = build_layout(model)
-    torques = np.empty(q.shape)
-    inputs = flatten_array(q), flatten_array(qd), flatten_array(qdd)
+    moved = model.joint_map.motion(q, qd, qdd)
+    bodies = model.joint_map.parameters(chi)
+    layout = build_layout(model.tree)
+    torques = np.empty(moved.q.shape)
+    inputs = flatten_array(moved.q), flatten_array(moved.qd), flatten_array(moved.qdd)
     given = np.array(gravity, dtype=np.float64)
     out = torques.reshape(-1)
     run_over_samples(
         lambda start, stop: rigid_body.newton_euler(
-            layout.codes, layout.placements, given, chi, *inputs, start, stop, out
+            layout.codes, layout.placements, given, bodies, *inputs, start, stop, out
         ),
         q.shape[0],
         threads,
     )
-    return torques
+    return moved.torques(torques)
 
 
 def _evaluate_joint_space(
     model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool
 ) -> Array:
-    if (coupling := model.coupling) is not None:
-        moved = coupling.motion(q, qd)
-        in_tree = coupling.parameters(chi)
-        of_tree = moved.q, moved.qd, in_tree
-        found = moved.matrices(_evaluate_joint_space(model.tree, *of_tree, coriolis=coriolis))
-        turning = coupling.derivatives(q, qd, np.zeros_like(q)) if coriolis else None
-        if turning is None:
-            return found
-        masses = _evaluate_joint_space(model.tree, *of_tree, coriolis=False)
-        return found + np.swapaxes(moved.shares, 1, 2) @ masses @ turning.turning
+    moved = model.joint_map.motion(q, qd)
+    state = moved.q, moved.qd, model.joint_map.parameters(chi)
+    found = moved.matrices(_evaluate_tree_matrices(model.tree, *state, coriolis=coriolis))
+    change = model.joint_map.derivatives(q, qd, np.zeros_like(q)) if coriolis else None
+    if change is None:
+        return found
+    masses = _evaluate_tree_matrices(model.tree, *state, coriolis=False)
+    return found + np.swapaxes(moved.shares, 1, 2) @ masses @ change.turning
+
+
+def _evaluate_tree_matrices(
+    model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool
+) -> Array:
     layout = build_layout(model)
     samples, n = q.shape
     matrices = np.empty((samples, n, n))
@@ -306,7 +306,7 @@ class OneSample:
     def __init__(
         self, model: RobotModel, drive: DriveSet, values: Array, parameters: Array
     ) -> None:
-        self._general = model.coupling is not None
+        self._general = model.tree is not model
         if self._general:
             return
         layout = build_layout(model)

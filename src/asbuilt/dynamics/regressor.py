@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.couplings import Coupling
+from asbuilt.description.structure.joint_map import JointMap
 from asbuilt.dynamics.batches import flatten_array, run_over_samples, shape_joint_samples
 from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
@@ -22,9 +21,6 @@ from asbuilt.dynamics.kernels.recursion import build_layout
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
 from asbuilt.errors import UsageError
-
-if TYPE_CHECKING:
-    from asbuilt.description.structure.closure import Closure
 
 Some = slice | Indices
 
@@ -63,12 +59,12 @@ def _check_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | None
 def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
     """Return for each joint the positions in `columns` that can be non-zero in its row.
 
-    Links it carries, its own drive, motors it turns; all where contact forces are projected away,
-    which mixes the rows.
+    Links it carries, its own drive, motors it turns; all where reactions are projected away, which
+    mixes the rows.
     """
     chosen = _check_columns(model, drive, columns)
     n = model.n_joints
-    if model.contacts:
+    if model.has_reactions:
         return [np.arange(chosen.size)] * n
     moved_by = model.link_shares != 0.0
     carried = np.zeros((n, model.n_links), dtype=bool)
@@ -103,26 +99,25 @@ class TreeRows:
     (m,) to which their product with `G[i, k]` counts.
     """
 
-    coupling: Coupling | Closure
+    joint_map: JointMap
     plan: RegressorPlan
     sums: tuple[tuple[int, int, Indices, Indices], ...]
 
     @classmethod
-    def of(
-        cls, model: RobotModel, coupling: Coupling | Closure, chosen: Indices, rows: Indices
-    ) -> TreeRows:
+    def of(cls, model: RobotModel, chosen: Indices, rows: Indices) -> TreeRows:
         """Return the rows for the columns `chosen`, whose rows in joint k are `rows[k]`."""
+        joint_map = model.joint_map
         inertial = chosen[chosen < _PER_LINK * model.n_links]
         link, parameter = np.divmod(inertial, _PER_LINK)
         plan = RegressorPlan.of(
-            model.tree, columns=_PER_LINK * np.argsort(coupling.order)[link] + parameter
+            model.tree, columns=_PER_LINK * np.argsort(joint_map.order)[link] + parameter
         )
         sums = []
         for k in range(model.n_joints):
-            for i in np.flatnonzero(coupling.of_links[coupling.order, k]).tolist():
+            for i in np.flatnonzero(joint_map.of_links[joint_map.order, k]).tolist():
                 own = np.arange(*plan.bounds[i])
                 sums.append((i, k, own, rows[k, inertial[plan.support[i]]]))
-        return cls(coupling, plan, tuple(sums))
+        return cls(joint_map, plan, tuple(sums))
 
     def weights(self, weights: Array, shares: Array, n_samples: int) -> Array:
         """Return weights of the tree's rows for weights of the plan's: the adjoint of `G^T`."""
@@ -139,7 +134,7 @@ class TreeRows:
 
     def torn(self, weights: Array, of_tree: Array, n_samples: int) -> Array:
         """Return the derivative by `G` (N, n_links, n) of the weighted rows; `of_tree` theirs."""
-        found = np.zeros((n_samples, *self.coupling.of_links.shape))
+        found = np.zeros((n_samples, *self.joint_map.of_links.shape))
         for i, k, own, rows in self.sums:
             found[:, i, k] = np.einsum(
                 "rs,rs->s", of_tree[own, :n_samples], weights[rows, :n_samples]
@@ -222,7 +217,6 @@ class RegressorPlan:
         )
         for array in (chosen, bounds, places, *support):
             array.setflags(write=False)
-        coupling = model.coupling
         return cls(
             model,
             drive,
@@ -233,7 +227,7 @@ class RegressorPlan:
             places,
             drive_rows,
             motor_rows,
-            None if coupling is None else TreeRows.of(model, coupling, chosen, rows),
+            None if model.tree is model else TreeRows.of(model, chosen, rows),
         )
 
     @property
@@ -276,7 +270,7 @@ class RegressorPlan:
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
                 f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
-        if self.model.contacts:
+        if self.model.has_reactions:
             target[...] = 0.0  # every joint has all rows, and kernels write those that can be other
         self._write(inputs, target, NO_COLUMNS, threads)
         for _, rows_of_drive, columns in self._yield_drive_columns(*inputs):
@@ -287,25 +281,20 @@ class RegressorPlan:
         self, inputs: Sequence[Array], target: Array, columns: Indices, threads: int | None
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
-        places = self.places
-        coupling = self.model.coupling
-        shares = np.eye(self.model.n_joints)
-        if coupling is not None:
-            places = np.ascontiguousarray(places[:, coupling.order])
-            moved = coupling.motion(*inputs)
-            inputs = (moved.q, moved.qd, moved.qdd)
-            shares = moved.shares
+        joint_map = self.model.joint_map
+        places = joint_map.parameters(self.places)
+        moved = joint_map.motion(*inputs)
         layout = build_layout(self.model.tree)
         moves = _find_moving_coordinates(self.model)
         robot = layout.codes, layout.placements, layout.gravity, layout.n_slots
-        vectors = [flatten_array(array) for array in inputs]
+        vectors = [flatten_array(array) for array in (moved.q, moved.qd, moved.qdd)]
         rows = target.reshape(-1)
         width = target.shape[1]
 
         def work(start: int, stop: int) -> None:
             rigid_body.regressor(
                 *robot,
-                flatten_array(shares),
+                flatten_array(moved.shares),
                 moves,
                 places,
                 self.bounds,

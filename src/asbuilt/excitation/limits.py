@@ -11,6 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics import TorqueModel, described_drive
+from asbuilt.dynamics.kinematics import find_first_posture
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion
 from asbuilt.findings import Cure
@@ -270,7 +271,7 @@ def _find_passive_margins(
     model: RobotModel, t: Array, values: Mapping[str, Array]
 ) -> Iterator[LimitMargin]:
     """Yield margins of passive joints; raises MotionError where loops do not close."""
-    if not model.loops:
+    if find_first_posture(model) is None:
         return
     try:
         moved = model.link_motion(*(values[name] for name in QUANTITIES[:3]))
@@ -292,8 +293,8 @@ def refuse_open_postures(model: RobotModel) -> None:
     A search for a motion may go anywhere there. Corners of the limits are tried, and random
     postures; limits that the description lacks are the assumed ones.
     """
-    closure = model.closure
-    if closure is None:
+    home = find_first_posture(model)
+    if home is None:
         return
     n = model.n_joints
     bounds = MotionBounds.assumed(model)
@@ -302,15 +303,14 @@ def refuse_open_postures(model: RobotModel) -> None:
     corners = [np.where(ends, high, low) for ends in product((False, True), repeat=min(n, 7))]
     corners = corners if n <= 7 else []
     q = np.vstack([*corners, np.random.default_rng(0).uniform(low, high, (TRIED, n))])
-    open_at = np.flatnonzero(~closure.postures(q).closed)
+    open_at = np.flatnonzero(~model.joint_map.exists(q))
     if not open_at.size:
         return
-    home = closure.home[:n]
     reach = []
     for j in range(n):
         line = np.tile(home, (TRIED, 1))
         line[:, j] = np.linspace(low[j], high[j], TRIED)
-        closed = line[closure.postures(line).closed, j]
+        closed = line[model.joint_map.exists(line), j]
         if len(closed) < TRIED:
             reach.append(f"{model.joint_names[j]} {closed.min():.4g} to {closed.max():.4g}")
     alone = f": alone, with the others at the first posture, {', '.join(reach)}" if reach else ""

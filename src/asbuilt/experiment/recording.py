@@ -217,6 +217,12 @@ class Recording:
         return int(self.t.size)
 
     @property
+    def drive_law(self) -> PositionServo | None:
+        """The law by which commands became torques; None where the torque was measured."""
+        follows = self.torque_source == "command" and self.command is not None
+        return self.servo if follows else None
+
+    @property
     def n_joints(self) -> int:
         """Number of joints."""
         return int(self.q.shape[1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,11 +46,6 @@ from asbuilt.identification.result.torque_prediction import (
 from asbuilt.identification.uncertainty.bias import OmittedBias
 from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.uncertainty.pose_noise import (
-    ExpectedScores,
-    PoseNoise,
-    expect_pose_noise,
-)
 from asbuilt.identification.uncertainty.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
@@ -58,6 +53,9 @@ from asbuilt.identification.uncertainty.uncertainty import (
     estimate_textbook_uncertainty,
     redraw,
 )
+
+if TYPE_CHECKING:
+    from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, PoseNoise
 
 # Say when friction that depends on load has settled: own choice, tested on virtual robots.
 #
@@ -278,6 +276,10 @@ def fit_samples(
     seen = accumulate(model)
     of_pose: PoseNoise | None = None
     if expected is None and any(any(sample.pose_noise) for sample in samples):
+        from asbuilt.identification.uncertainty.pose_noise import (  # noqa: PLC0415 - light start
+            expect_pose_noise,
+        )
+
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
 

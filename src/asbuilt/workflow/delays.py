@@ -9,16 +9,14 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import DriveSet, find_base_parameters
+from asbuilt.dynamics import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment import Recording, Samples, hold_out, resolve_chain
+from asbuilt.experiment import Recording, Samples, hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.signal_chain import SignalChain, Velocity
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
-from asbuilt.identification.information.square_root_information import accumulate_stream
-from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.uncertainty.delay_errors import (
     JointDelay,
@@ -195,34 +193,3 @@ def report_delays(
             ),
         ),
     )
-
-
-def settle_rates(
-    model: RobotModel, heads: Sequence[Recording], chain: SignalChain, filters: MotionFilters
-) -> SignalChain:
-    """Return the chain with the rates from which the torque of a free base follows better.
-
-    Feet that touch down turn joints faster than positions at the rate of a log resolve, so that
-    high frequencies are no measure of noise, as they are for an arm (`compare_velocities`). What
-    rates are for decides: the torque. Rows, torques and parameters of both fits are the same, so
-    that the smaller residual of least squares decides. The chain stays open where the root is fixed
-    or a log holds no velocities.
-    """
-    if chain.velocity != "auto" or not model.n_floating or any(head.qd is None for head in heads):
-        return chain
-    # Both fits have the same low-pass, so that the rates alone differ.
-    alike = resolve_chain(chain, *heads, filters=filters)
-    base = find_base_parameters(model, choose_usual_drive(model, heads[0].torque_source))
-
-    def residual(velocity: Velocity) -> float:
-        chain_of_rates = replace(alike, velocity=velocity, delay=None)
-        samples = [filters.prepare(head, chain_of_rates).samples() for head in heads]
-        # The last entry of a triangle of rows and torque is the residual.
-        factor = triangular_factor(accumulate_stream(model, base, samples).stacked())
-        return float(factor[-1, -1])
-
-    try:
-        measured = residual("measured") < residual("derived")
-    except (AsbuiltError, np.linalg.LinAlgError):
-        return chain
-    return replace(chain, velocity="measured" if measured else "derived")

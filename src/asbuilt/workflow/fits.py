@@ -36,12 +36,11 @@ from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.prepare import Prepared, Progress
-from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
 from asbuilt.workflow.study_options import StudyOptions
 from asbuilt.workflow.tested_choice import LeftOut
+from asbuilt.workflow.torque_source import MeasuredTorque
 
 if TYPE_CHECKING:
-    from asbuilt.identification.servo.servo_estimate import ServoEstimate
     from asbuilt.workflow.refinement import Refined
     from asbuilt.workflow.rollout import SimulatedParts
 
@@ -75,8 +74,10 @@ class Fits:
         What the recordings show and the description lacks.
     plateaus
         Torques that saturate.
-    servo, refined
-        The position servo and the refinement, if any.
+    source
+        Where the torques come from.
+    refined
+        The refinement, if any.
     encoders
         What lies between two encoders of joints that have them.
     """
@@ -88,7 +89,7 @@ class Fits:
     choice: DriveChoice
     effects: Effects
     plateaus: tuple[Plateau, ...]
-    servo: ServoEstimate | None
+    source: MeasuredTorque
     refined: Refined | None
     encoders: tuple[EncoderPair, ...] = ()
     left_out: Array | None = None
@@ -108,7 +109,7 @@ def fit_study(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
-    servo: ServoEstimate | None,
+    source: MeasuredTorque,
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
@@ -124,8 +125,8 @@ def fit_study(
         The samples.
     options
         How to identify.
-    servo
-        The position servo that was identified before, if any.
+    source
+        Where the torques come from.
     parts
         What a refinement simulates; None without one.
     report
@@ -133,7 +134,7 @@ def fit_study(
     """
 
     def fitted(prepared: Prepared) -> Fits:
-        return _fit_all(model, prepared, options, servo, parts, report)
+        return _fit_all(model, prepared, options, source, parts, report)
 
     fits = _fit_divided_or_whole(fitted, prepared)
     if all(samples.encoder is None for samples in fits.samples):
@@ -216,7 +217,7 @@ def _fit_all(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
-    servo: ServoEstimate | None,
+    source: MeasuredTorque,
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
@@ -237,12 +238,12 @@ def _fit_all(
             block_seconds=options.block_seconds,
             threads=options.threads,
             fitted_nonlinear=choice.fitted,
-            expected=None if servo is None else servo.expected,
+            expected=source.expected,
             kept=kept,
             kind=kind,
         )
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
-        return with_delay_errors(fit, servo)
+        return source.with_errors(fit)
 
     if options.refine is None or parts is None:
         kind = ""
@@ -255,7 +256,7 @@ def _fit_all(
                 validated = (
                     fitted(prepared.training, choice.drive, kind) if prepared.whole else final
                 )
-                test = LeftOut.of(validated, prepared) if servo is None else None
+                test = LeftOut.of(validated, prepared) if source.is_measured else None
                 needless = set() if test is None else test.list_harmful(effects.found)
             # One that goes can take another with it: asked until every effect that is left stays.
             if needless:
@@ -271,15 +272,24 @@ def _fit_all(
             kind = better
         left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
         return Fits(
-            model, prepared, final, validated, choice, effects, flat, servo, None, left_out=left_out
+            model,
+            prepared,
+            final,
+            validated,
+            choice,
+            effects,
+            flat,
+            source,
+            None,
+            left_out=left_out,
         )
     from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
-    final, servo, refined, drive = refine_study(
+    final, source, refined, drive = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
         parts,
-        servo,
+        source,
         options.rollout,
         report,
         # Terms that are stated are not chosen among.
@@ -287,11 +297,10 @@ def _fit_all(
     )
     if drive is not choice.drive:
         choice = replace(choice, drive=drive, sentences=(*choice.sentences, ADDED))
-    if servo is not None:
-        late = tuple((delay.source, delay.digest) for delay in prepared.delay)
-        prepared = replace(prepared, delay=make_recording_delays(servo, late))
+    known = [(delay.source, delay.digest) for delay in prepared.delay]
+    prepared = source.with_delays(prepared, known)
     final = _with_omitted_bias(final, effects)
-    return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
+    return Fits(model, prepared, final, final, choice, effects, flat, source, refined)
 
 
 def _with_omitted_bias(fit: Fit, effects: Effects) -> Fit:

@@ -30,10 +30,9 @@ from asbuilt.experiment.signal.samples import (
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.uncertainty.delay_errors import RecordingDelay
-from asbuilt.identification.uncertainty.pose_noise import with_equation_noise
 from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.generalisation.coverage import repeats
-from asbuilt.workflow.delays import Delays, settle_delays, settle_rates
+from asbuilt.workflow.delays import Delays, settle_delays
 from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions
 
 Progress = Callable[[str, float], None]
@@ -168,8 +167,13 @@ def prepare(
     chosen = [*own, *_list_recording_heads(validation)]
     settled = chain or SignalChain()
     if chosen:
-        # Rates before the cutoff: it depends on which velocities are used.
-        settled = settle_rates(model, chosen, settled, filters)
+        if model.mixes_joints:
+            from asbuilt.identification.uncertainty.pose_noise import (  # noqa: PLC0415
+                settle_rates,
+            )
+
+            # Rates before the cutoff: it depends on which velocities are used.
+            settled = settle_rates(model, chosen, settled, filters)
         settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
         settled = settle(settled, own)
@@ -184,10 +188,14 @@ def prepare(
         rule = None if automatic else holdout
         late = settle_delays(model, own, digests, settled, rule, filters)
         settled = late.chain
-    # Equations at contacts are weighed by their noise, common to all recordings.
-    whole = with_equation_noise(
-        model, [_prepare_samples(item, settled, filters, late) for item in recordings]
-    )
+    whole = tuple(_prepare_samples(item, settled, filters, late) for item in recordings)
+    if model.has_reactions:
+        from asbuilt.identification.uncertainty.pose_noise import (  # noqa: PLC0415 - light start
+            with_equation_noise,
+        )
+
+        # Equations are weighed by their noise, common to all recordings.
+        whole = with_equation_noise(model, whole)
     motions = group_by_motion(whole) if automatic and in_turn else ()
     parts: tuple[tuple[Samples, ...], tuple[Samples, ...]] | None
     if motions:

@@ -33,6 +33,7 @@ from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.workflow.rollout import Simulated, SimulatedParts, drop_unused_servo
+from asbuilt.workflow.torque_source import MeasuredTorque
 
 # Hold lengths of windows, and when a refinement is worth its parameters.
 
@@ -121,12 +122,12 @@ def refine_study(
     fitted: Callable[[DriveSet], Fit],
     drive: DriveSet,
     parts: SimulatedParts,
-    servo: ServoEstimate | None,
+    source: MeasuredTorque,
     horizons: Sequence[float],
     report: Callable[[str, float], None],
     *,
     choose: bool = False,
-) -> tuple[Fit, ServoEstimate | None, Refined, DriveSet]:
+) -> tuple[Fit, MeasuredTorque, Refined, DriveSet]:
     """Continue a fit by trajectories of training data.
 
     Parameters
@@ -138,8 +139,8 @@ def refine_study(
     parts
         What is simulated, and what the refinement must not predict worse than the fit to torques:
         what was not fitted, or if nothing was held out the training data.
-    servo
-        The position servo, if any.
+    source
+        Where the torques come from.
     horizons
         Lengths of rollouts that are asked for [s].
     report
@@ -151,8 +152,8 @@ def refine_study(
 
     Returns
     -------
-    Fit, ServoEstimate or None, Refined, DriveSet
-        The refined fit, its servo, how the refinement went, and its drive terms.
+    Fit, MeasuredTorque, Refined, DriveSet
+        The refined fit, its source of torques, how the refinement went, and its drive terms.
 
     Raises
     ------
@@ -176,7 +177,7 @@ def refine_study(
     horizon = min(max(horizons, default=REFINEMENT_USUAL), REFINEMENT_LONGEST)
     windows = _cut_windows(parts.trained, horizon)
     # Only under commands the servo is part of what moves the robot.
-    driven = servo if kinds == {"command"} else None
+    driven = source.servo if kinds == {"command"} else None
 
     def refined(fit: Fit, servo: ServoEstimate | None, begin: Array | None = None) -> RefinedFit:
         return refine_fit(
@@ -211,9 +212,10 @@ def refine_study(
     tried = _validate_refinement(tried, best.robot, parts.held_out or parts.trained)
     # A robot that is simulated worse than before is not the result.
     if not tried.kept:
-        return fit, servo, tried, given
-    better = servo if servo is None or driven is None else _update_servo(servo, best)
-    return best.fit, better, tried, drive
+        return fit, source, tried, given
+    if driven is not None:
+        source = source.with_servo(_update_servo(driven, best))
+    return best.fit, source, tried, drive
 
 
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:

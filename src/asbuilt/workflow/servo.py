@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -26,15 +27,20 @@ from asbuilt.experiment.command.servo_torque import drive_by_command, drop_slow_
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.identify import Fit
+from asbuilt.identification.servo.servo_estimate import (
+    UNEXPLAINED,
+    ServoEstimate,
+    estimate_servo,
+)
+from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, RecordingDelay
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
-
-if TYPE_CHECKING:
-    from asbuilt.identification.servo.servo_estimate import ServoEstimate
+from asbuilt.workflow.torque_source import MeasuredTorque
 
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
@@ -47,10 +53,9 @@ def settle_servo(
     validation: Sequence[Recorded],
     options: StudyOptions,
     filters: MotionFilters | None = None,
-) -> tuple[list[Recorded], list[Recorded], ServoEstimate | None, StudyOptions]:
+) -> tuple[list[Recorded], list[Recorded], CommandedTorque, StudyOptions]:
     """Return recordings with the torque of their position servo, what it is, and the options.
 
-    Nothing changes unless the torque of the recordings comes from a servo that follows a command.
     `filters` filter their motions, if some serve others too.
 
     Raises
@@ -58,9 +63,10 @@ def settle_servo(
     UsageError
         If recordings have different servos, or only some have one.
     """
-    servos = [_read_servo(item) for item in (*recordings, *validation)]
-    if all(servo is None for servo in servos):
-        return [*recordings], [*validation], None, options
+    servos = [
+        None if isinstance(item, Samples) else head_of(item).drive_law
+        for item in (*recordings, *validation)
+    ]
     if any(
         servo is None
         or servos[0] is None
@@ -72,10 +78,6 @@ def settle_servo(
             "the recordings have torques of different kinds, or of different position servos;"
             " identify from recordings of one servo"
         )
-    from asbuilt.identification.servo.servo_estimate import (  # noqa: PLC0415 - light start
-        estimate_servo,
-    )
-
     heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
     chain = options.chain or SignalChain()
     drive = _select_linear_terms(options.drive) or choose_usual_drive(model, "command")
@@ -101,23 +103,197 @@ def settle_servo(
             for k, item in zip(numbers.tolist(), recordings, strict=True)
         ],
         [with_servo(item, found.servo) for item in validation],
-        found,
+        CommandedTorque(found),
         # The servo has taken the delay over: torques of its command are not late.
         replace(options, chain=replace(chain, delay=None)),
     )
 
 
-def make_recording_delays(
-    found: ServoEstimate, recordings: Sequence[tuple[str, str]]
-) -> tuple[RecordingDelay, ...]:
-    """Return the delay of a servo as the delay of recordings, given by name and digest."""
-    late = found.servo.delay
-    error = found.errors.delay
-    if late is None:
-        return ()
-    # A stated delay is no estimate.
-    estimate, error = (late, error) if error > 0.0 else (np.nan, np.nan)
-    return tuple(RecordingDelay(*recording, estimate, error, late) for recording in recordings)
+@dataclass(frozen=True, eq=False)
+class CommandedTorque(MeasuredTorque):
+    """Say that a position servo gave the torques, which was identified before the robot."""
+
+    servo: ServoEstimate
+
+    @property
+    def expected(self) -> ExpectedScores | None:  # type: ignore[override]
+        """Scores that noise of the positions lends the parameters through the law."""
+        return self.servo.expected
+
+    @property
+    def of_result(self) -> dict[str, Any]:
+        """The servo and its standard errors."""
+        return {"servo": self.servo.servo, "servo_errors": self.servo.errors}
+
+    def settle_samples(self, prepared: Prepared, recordings: Sequence[Recorded]) -> Prepared:
+        """Return samples without what the servo does not explain, with its delay.
+
+        Rows of a joint count only where its direction of motion is known.
+        """
+        names = [recording_name(item.source) for item in recordings]
+        prepared = self.with_delays(prepared, [*zip(names, prepared.digests, strict=True)])
+        if prepared.chain is None:
+            return prepared
+        drop = partial(self._drop, recordings, prepared.chain.cutoff or np.inf)
+        return replace(prepared, training=drop(prepared.training), whole=drop(prepared.whole))
+
+    def _drop(
+        self, recordings: Sequence[Recorded], cutoff: float, parts: Sequence[Samples]
+    ) -> tuple[Samples, ...]:
+        kept = []
+        for samples, item in zip(parts, recordings if parts else (), strict=True):
+            # Blocks carry the name of their recording.
+            windows = [
+                (block.start, block.stop)
+                for block in self.servo.unexplained
+                if block.source == samples.source
+            ]
+            try:
+                left = samples.outside(windows)
+            except RecordingError:  # too short for the filters
+                continue
+            if left.n_filtered and not isinstance(item, Samples):
+                kept.append(drop_slow_rows(left, head_of(item), cutoff))
+        # Rather unexplained motion than none.
+        return tuple(kept) or tuple(parts)
+
+    def with_delays(self, prepared: Prepared, recordings: Sequence[tuple[str, str]]) -> Prepared:
+        """Return samples whose recordings have the delay of the servo."""
+        late = self.servo.servo.delay
+        error = self.servo.errors.delay
+        if late is None:
+            return replace(prepared, delay=())
+        # A stated delay is no estimate.
+        estimate, error = (late, error) if error > 0.0 else (np.nan, np.nan)
+        delays = (RecordingDelay(*recording, estimate, error, late) for recording in recordings)
+        return replace(prepared, delay=tuple(delays))
+
+    def with_servo(self, servo: ServoEstimate) -> CommandedTorque:
+        """Return it with another estimate of the servo."""
+        return CommandedTorque(servo)
+
+    def with_errors(self, fit: Fit) -> Fit:
+        """Return a fit whose errors include the servo's delay and what was taken away.
+
+        They are at least those that the scatter between recordings shows.
+        """
+        late = None
+        if self.servo.slopes is not None:
+            late = estimate_servo_delay_errors(
+                fit.information,
+                fit.estimate,
+                self.servo.slopes,
+                self.servo.servo.delay or 0.0,
+                self.servo.errors.delay,
+            )
+        if self.expected is not None:
+            doubt = self.expected.doubt(fit.information, fit.estimate)
+            # Errors of the delay, of the replay and between recordings add up in one covariance.
+            late = late or DelayErrors(np.zeros_like(doubt), np.zeros(len(doubt)))
+            late = replace(late, covariance=late.covariance + doubt)
+        beyond = _measure_recording_excess(fit, late)
+        if beyond is not None:
+            late = late or DelayErrors(np.zeros_like(beyond), np.zeros(len(beyond)))
+            late = replace(late, covariance=late.covariance + beyond)
+        return fit if late is None else replace(fit, delay=late)
+
+    def sentences(self, model: RobotModel) -> tuple[str, ...]:
+        """Return what the torque of a command rests on, as a sentence."""
+        servo = self.servo.servo
+        errors = self.servo.errors
+        gains = "; ".join(
+            f"{model.joint_names[k]} {_format_estimate(servo.kp[k], errors.kp[k])}"
+            for k in model.driven_joints
+        )
+        late = f"{_format_estimate(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
+        width = _format_estimate(1e3 * max(servo.deadband, default=0.0), 1e3 * errors.deadband)
+        goal = f"; no torque within {width} mrad" if any(servo.deadband) else ""
+        if any(servo.falling):
+            goal += "; torque limits that fall with the speed"
+        if servo.limits_goal:
+            limit = _format_estimate(min(servo.goal_acceleration), errors.goal_acceleration)
+            goal += f"; goal limited to {limit} rad/s^2"
+        return (
+            "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command"
+            f" held until the next; kp [N m/rad] {gains}; delay {late}{goal}.",
+        )
+
+    def findings(self, model: RobotModel, drive: DriveSet) -> Iterator[Finding]:
+        """Yield what is worth knowing of an identified servo."""
+        found = self.servo
+        errors = found.errors
+        yield from _report_gains(model, found)
+        yield from _report_goals(found)
+        late = _format_estimate(1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)
+        if errors.lead:
+            lead = _format_estimate(1e3 * max(found.servo.lead), 1e3 * errors.lead)
+            yield Finding(
+                "servo_lead",
+                "info",
+                "The torque preceded the command, which no delay does: the servo was taken to have"
+                f" a gain on the rate of its control error, {lead} ms times its stiffness, and a"
+                f" delay of {late} ms; viscous friction includes its damping. Positions that are"
+                " logged late look alike in smooth motion",
+                Cure("state the lead and the torque limit if they are known, or record steps"),
+            )
+        elif found.precedes_command:
+            yield Finding(
+                "servo_ahead",
+                "info",
+                "The torque precedes the command by"
+                f" {_format_estimate(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms,"
+                " which no"
+                " delay does: positions are logged later than commands, or the servo has another"
+                " law, such as a gain on the rate of its control error. Torques do not tell which;"
+                " under larger steps of the command these differ",
+                Cure(
+                    "refine by rollouts, which fits such a gain, state the lead and the torque"
+                    " limit, or record steps of the command",
+                ),
+            )
+        if errors.deadband:
+            width = 1e3 * max(found.servo.deadband)
+            error = 1e3 * errors.deadband
+            yield Finding(
+                "servo_deadband",
+                "info",
+                f"The servo gives no torque within {_format_estimate(width, error)} mrad of its"
+                " goal (mm for"
+                " a sliding joint), which time that was not fitted confirms; the fit and"
+                " simulations have this deadband",
+                Cure("give the deadband if it is known"),
+            )
+        if found.expected is None:
+            why, cure = (
+                (
+                    "The robot as identified diverges or rests under the logged command",
+                    "check the gains of the servo, and record more motion",
+                )
+                if len(model.driven_joints) == model.n_joints
+                else (
+                    f"{model.name} has a free base, on which no motion can be replayed for long",
+                    "log torques too, or record slow motion with a fine encoder",
+                )
+            )
+            yield Finding(
+                "servo_not_replayed",
+                "warning",
+                f"{why}, so that errors by noise of the positions and by friction at reversals are"
+                " not corrected; standard errors are too small",
+                Cure(cure),
+            )
+        if found.unexplained:
+            yield _report_unexplained(found)
+        yield from _report_currents(model, found)
+        # Damping and viscous friction have the same column.
+        if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
+            yield Finding(
+                "servo_damping_in_friction",
+                "info",
+                "The damping of the position servo is unknown: viscous friction includes it, since"
+                " only their sum acts",
+                Cure("give the damping if it is known"),
+            )
 
 
 def _read_stated_delay(chain: SignalChain) -> float | None:
@@ -175,70 +351,6 @@ def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
     return with_servo(item, servo)
 
 
-def drop_unexplained(
-    prepared: Prepared, recordings: Sequence[Recorded], found: ServoEstimate | None
-) -> Prepared:
-    """Return the samples of commands without the time that the servo does not explain.
-
-    Rows of a joint count only where its direction of motion is known.
-    """
-    if found is None or prepared.chain is None:
-        return prepared
-    cutoff = prepared.chain.cutoff or np.inf
-
-    def drop(parts: Sequence[Samples]) -> tuple[Samples, ...]:
-        kept = []
-        for samples, item in zip(parts, recordings if parts else (), strict=True):
-            # Blocks carry the name of their recording.
-            windows = [
-                (block.start, block.stop)
-                for block in found.unexplained
-                if block.source == samples.source
-            ]
-            try:
-                left = samples.outside(windows)
-            except RecordingError:  # too short for the filters
-                continue
-            if left.n_filtered and not isinstance(item, Samples):
-                kept.append(drop_slow_rows(left, head_of(item), cutoff))
-        # Rather unexplained motion than none.
-        return tuple(kept) or tuple(parts)
-
-    return replace(prepared, training=drop(prepared.training), whole=drop(prepared.whole))
-
-
-def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
-    """Return a fit whose errors include the servo's delay and what was taken away.
-
-    They are at least those that the scatter between recordings shows.
-    """
-    if found is None:
-        return fit
-    late = None
-    if found.slopes is not None:
-        from asbuilt.identification.servo.servo_fits import (  # noqa: PLC0415 - light start
-            estimate_servo_delay_errors,
-        )
-
-        late = estimate_servo_delay_errors(
-            fit.information,
-            fit.estimate,
-            found.slopes,
-            found.servo.delay or 0.0,
-            found.errors.delay,
-        )
-    if found.expected is not None:
-        doubt = found.expected.doubt(fit.information, fit.estimate)
-        # Errors of the delay, of the replay and between recordings add up in one covariance.
-        late = late or DelayErrors(np.zeros_like(doubt), np.zeros(len(doubt)))
-        late = replace(late, covariance=late.covariance + doubt)
-    beyond = _measure_recording_excess(fit, late)
-    if beyond is not None:
-        late = late or DelayErrors(np.zeros_like(beyond), np.zeros(len(beyond)))
-        late = replace(late, covariance=late.covariance + beyond)
-    return fit if late is None else replace(fit, delay=late)
-
-
 def _measure_recording_excess(fit: Fit, late: DelayErrors | None) -> Array | None:
     """Return by how much variances between recordings exceed those so far (p, p); None if not."""
     if fit.uncertainty.basis.kind != "blocks":
@@ -251,39 +363,10 @@ def _measure_recording_excess(fit: Fit, late: DelayErrors | None) -> Array | Non
     return np.diag(beyond) if np.any(beyond) else None
 
 
-def describe_servo_torque(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:
-    """Return what the torque of a command rests on, as a sentence."""
-    if found is None:
-        return ()
-    servo = found.servo
+def _report_gains(model: RobotModel, found: ServoEstimate) -> Iterator[Finding]:
+    """Yield where the stiffness comes from, if it was not given."""
     errors = found.errors
-    free = model.n_floating
-    gains = "; ".join(
-        f"{name} {_format_estimate(kp, error)}"
-        for name, kp, error in [*zip(model.joint_names, servo.kp, errors.kp, strict=True)][free:]
-    )
-    late = f"{_format_estimate(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
-    width = _format_estimate(1e3 * max(servo.deadband, default=0.0), 1e3 * errors.deadband)
-    goal = f"; no torque within {width} mrad" if any(servo.deadband) else ""
-    if any(servo.falling):
-        goal += "; torque limits that fall with the speed"
-    if servo.limits_goal:
-        limit = _format_estimate(min(servo.goal_acceleration), errors.goal_acceleration)
-        goal += f"; goal limited to {limit} rad/s^2"
-    return (
-        "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command held"
-        f" until the next; kp [N m/rad] {gains}; delay {late}{goal}.",
-    )
-
-
-def report_servo(
-    model: RobotModel, found: ServoEstimate | None, drive: DriveSet
-) -> Iterator[Finding]:
-    """Yield what is worth knowing of an identified servo."""
-    if found is None:
-        return
-    errors = found.errors
-    free = model.n_floating
+    free = model.driven_joints.start
     names = np.array(model.joint_names)
     unknown = np.array([scale_source != "given" for scale_source in errors.scale])
     relative = np.array(errors.kp) / np.where(unknown, found.servo.kp, 1.0)
@@ -312,77 +395,6 @@ def report_servo(
                 "give the stiffness if it is known, or find it from a payload of known mass",
                 call="find_gains",
             ),
-        )
-    yield from _report_goals(found)
-    late = _format_estimate(1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)
-    if errors.lead:
-        lead = _format_estimate(1e3 * max(found.servo.lead), 1e3 * errors.lead)
-        yield Finding(
-            "servo_lead",
-            "info",
-            "The torque preceded the command, which no delay does: the servo was taken to have"
-            f" a gain on the rate of its control error, {lead} ms times its stiffness, and a"
-            f" delay of {late} ms; viscous friction includes its damping. Positions that are"
-            " logged late look alike in smooth motion",
-            Cure("state the lead and the torque limit if they are known, or record steps"),
-        )
-    elif found.precedes_command:
-        yield Finding(
-            "servo_ahead",
-            "info",
-            "The torque precedes the command by"
-            f" {_format_estimate(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms,"
-            " which no"
-            " delay does: positions are logged later than commands, or the servo has another"
-            " law, such as a gain on the rate of its control error. Torques do not tell which;"
-            " under larger steps of the command these differ",
-            Cure(
-                "refine by rollouts, which fits such a gain, state the lead and the torque"
-                " limit, or record steps of the command",
-            ),
-        )
-    if errors.deadband:
-        width = 1e3 * max(found.servo.deadband)
-        error = 1e3 * errors.deadband
-        yield Finding(
-            "servo_deadband",
-            "info",
-            f"The servo gives no torque within {_format_estimate(width, error)} mrad of its"
-            " goal (mm for"
-            " a sliding joint), which time that was not fitted confirms; the fit and"
-            " simulations have this deadband",
-            Cure("give the deadband if it is known"),
-        )
-    if found.expected is None:
-        why, cure = (
-            (
-                "The robot as identified diverges or rests under the logged command",
-                "check the gains of the servo, and record more motion",
-            )
-            if not model.n_floating
-            else (
-                f"{model.name} has a free base, on which no motion can be replayed for long",
-                "log torques too, or record slow motion with a fine encoder",
-            )
-        )
-        yield Finding(
-            "servo_not_replayed",
-            "warning",
-            f"{why}, so that errors by noise of the positions and by friction at reversals are"
-            " not corrected; standard errors are too small",
-            Cure(cure),
-        )
-    if found.unexplained:
-        yield _report_unexplained(found)
-    yield from _report_currents(model, found)
-    # Damping and viscous friction have the same column.
-    if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
-        yield Finding(
-            "servo_damping_in_friction",
-            "info",
-            "The damping of the position servo is unknown: viscous friction includes it, since"
-            " only their sum acts",
-            Cure("give the damping if it is known"),
         )
 
 
@@ -432,10 +444,6 @@ def _report_goals(found: ServoEstimate) -> Iterator[Finding]:
 
 
 def _report_unexplained(found: ServoEstimate) -> Finding:
-    from asbuilt.identification.servo.servo_estimate import (  # noqa: PLC0415 - light start
-        UNEXPLAINED,
-    )
-
     blocks = found.unexplained
     seconds = sum(block.stop - block.start for block in blocks)
     listed = [
@@ -451,13 +459,6 @@ def _report_unexplained(found: ServoEstimate) -> Finding:
         Cure("record without contact and with slower commands, or give the torque limit"),
         time=blocks[0].start,
     )
-
-
-def _read_servo(item: Recorded) -> PositionServo | None:
-    if isinstance(item, Samples):
-        return None
-    head = head_of(item)
-    return head.servo if head.torque_source == "command" and head.command is not None else None
 
 
 def _select_linear_terms(drive: DriveSet | str | None) -> DriveSet | None:

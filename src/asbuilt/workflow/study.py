@@ -17,7 +17,14 @@ from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
-from asbuilt.experiment import ReadingOptions, Recording, RecordingCheck, SignalChain
+from asbuilt.experiment import (
+    ReadingOptions,
+    Recording,
+    RecordingCheck,
+    Samples,
+    SignalChain,
+    head_of,
+)
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.virtual.physics import import_mujoco
@@ -34,7 +41,6 @@ from asbuilt.validation import (
     Validation,
     Verdict,
     compare,
-    recording_name,
     rollout_findings,
     study_verdict,
 )
@@ -51,14 +57,13 @@ from asbuilt.workflow.prepare import (
     settle_rule,
     with_settled_holdout,
 )
-from asbuilt.workflow.servo import drop_unexplained, make_recording_delays, settle_servo
 from asbuilt.workflow.study_options import BLOCKS, StudyOptions
 from asbuilt.workflow.study_result import conclude_study
+from asbuilt.workflow.torque_source import MeasuredTorque
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from asbuilt.identification.servo.servo_estimate import ServoEstimate
     from asbuilt.workflow.refinement import Refined
     from asbuilt.workflow.rollout import Simulated
 
@@ -308,16 +313,18 @@ def identify(
     # Samples of no recording have nothing to be held out of.
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
     filters = MotionFilters()
-    trained, others, servo, options = settle_servo(model, trained, others, options, filters)
+    trained, others, source, options = settle_torque(model, trained, others, options, filters)
     # Nothing is left to simulate that the model has not seen.
     if options.rollout and options.holdout is None and not others:
         raise _make_all_fitted_error()
-    prepared, cutoffs = _prepare_recordings(model, trained, others, options, servo, filters, report)
+    prepared, cutoffs = _prepare_recordings(
+        model, trained, others, options, source, filters, report
+    )
     report("identify", 0.0)
     parts = None
     horizons = options.rollout
     # A verdict on commands needs simulated motion, where the simulator is installed.
-    if not horizons and servo is not None and find_spec("mujoco") is not None:
+    if not horizons and not source.is_measured and find_spec("mujoco") is not None:
         horizons = (HORIZON_OF_VERDICT,)
     if options.refine or horizons:
         from asbuilt.workflow.rollout import select_simulated_parts  # noqa: PLC0415 - light start
@@ -325,7 +332,7 @@ def identify(
         parts = select_simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     # Motions are kept for the preparation alone: they are the largest part of the memory.
     del filters  # motions of whole recordings
-    fits = fit_study(model, prepared, options, servo, parts, report)
+    fits = fit_study(model, prepared, options, source, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
     held_out_findings = report_holdout(
@@ -350,12 +357,35 @@ def identify(
     return _roll_out(study, parts.held_out, horizons, workers)
 
 
+def settle_torque(
+    model: RobotModel,
+    recordings: Sequence[Recorded],
+    validation: Sequence[Recorded],
+    options: StudyOptions,
+    filters: MotionFilters | None = None,
+) -> tuple[list[Recorded], list[Recorded], MeasuredTorque, StudyOptions]:
+    """Return recordings with their torque, where it comes from, and the options.
+
+    Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
+    some serve others too. Raises `UsageError` where recordings have torques of different kinds.
+    """
+    if not any(map(_has_command, (*recordings, *validation))):
+        return [*recordings], [*validation], MeasuredTorque(), options
+    from asbuilt.workflow.servo import settle_servo  # noqa: PLC0415 - light start
+
+    return settle_servo(model, recordings, validation, options, filters)
+
+
+def _has_command(item: Recorded) -> bool:
+    return not isinstance(item, Samples) and head_of(item).drive_law is not None
+
+
 def _prepare_recordings(
     model: RobotModel,
     trained: Sequence[Recorded],
     others: Sequence[Recorded],
     options: StudyOptions,
-    servo: ServoEstimate | None,
+    source: MeasuredTorque,
     filters: MotionFilters,
     report: Progress,
 ) -> tuple[Prepared, CutoffSweep | None]:
@@ -376,19 +406,14 @@ def _prepare_recordings(
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
-        # The servo has its own delay.
-        estimate_delay=servo is None,
+        # What a law made of commands has a delay of its own.
+        estimate_delay=source.is_measured,
         filters=filters,
         # Simulated windows are cut from a part of each recording.
-        in_turn=servo is None and not options.rollout,
+        in_turn=source.is_measured and not options.rollout,
         progress=report,
     )
-    prepared = drop_unexplained(prepared, trained, servo)
-    if servo is not None:
-        names = [recording_name(item.source) for item in trained]
-        named = tuple(zip(names, prepared.digests, strict=True))
-        prepared = replace(prepared, delay=make_recording_delays(servo, named))
-    return prepared, sweeps[0] if sweeps else None
+    return source.settle_samples(prepared, trained), sweeps[0] if sweeps else None
 
 
 def _make_all_fitted_error() -> UsageError:
@@ -413,7 +438,7 @@ def _roll_out(
     result = study.result.of_training
     rollouts = simulate_rollouts([result] * len(held), held, horizons, workers=workers)
     known = study.findings
-    if result.servo is not None and choose_decisive_rollout(rollouts) is not None:
+    if result.decided_by_motion and choose_decisive_rollout(rollouts) is not None:
         # Simulated motion decides: what torques say of its use is information.
         known = tuple(
             replace(finding, severity="info") if finding.code in OF_TORQUE else finding

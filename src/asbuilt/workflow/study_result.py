@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.equations import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
-from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.identification.uncertainty.bias import (
     OmittedBias,
@@ -41,7 +39,6 @@ from asbuilt.validation.generalisation.coverage import (
 )
 from asbuilt.validation.generalisation.generalisation import (
     check_validations,
-    report_foot_moments,
     report_nameless,
     report_unexplained,
 )
@@ -50,7 +47,6 @@ from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
-from asbuilt.workflow.servo import describe_servo_torque, report_servo
 from asbuilt.workflow.study_options import StudyOptions
 
 GAINS_ASSUMED = Finding(
@@ -105,8 +101,9 @@ def conclude_study(
     named = tuple(
         effect for effect in fits.effects.found if options.wanted_effects.named or effect.in_model
     )
-    conclude = partial(
-        Fit.concluded,
+    # Bias by effects that are not in the model widens the errors of the result.
+    omitted = _join_biases(fits.final.omitted, _doubt_friction(fits.final))
+    result = replace(fits.final, omitted=omitted).concluded(
         train=train,
         cad=train_cad if decisive is None else decisive.metrics_cad,
         validation=[validation.metrics_as_built for validation in validations],
@@ -118,17 +115,13 @@ def conclude_study(
         notes=(
             *describe_known_masses(fits.model),
             *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
-            *describe_servo_torque(fits.model, fits.servo),
+            *fits.source.sentences(fits.model),
         ),
-        servo=None if fits.servo is None else fits.servo.servo,
-        servo_errors=None if fits.servo is None else fits.servo.errors,
+        **fits.source.of_result,
         encoders=fits.encoders,
         # Values that have not seen what was held out are stored, for later validation on it.
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
-    # Bias by effects that are not in the model widens the errors of the result.
-    omitted = _join_biases(fits.final.omitted, _doubt_friction(fits.final))
-    result = conclude(replace(fits.final, omitted=omitted))
     effects = (
         *(as_identified(effect, fits.final, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
@@ -175,9 +168,13 @@ def conclude_study(
         *_report_model(fits, result, attribution, options),
         *report_cad_verdicts(validations),
         *report_springs(result),
-        *leg_findings(result, fits.samples),
-        *report_foot_moments(result, fits.samples),
     )
+    if mixed:
+        from asbuilt.identification.result.legs import (  # noqa: PLC0415 - light start
+            with_leg_findings,
+        )
+
+        findings = with_leg_findings(findings, result, fits.samples)
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
     # What was validated decides which joint's error matters, training only without it.
@@ -241,7 +238,7 @@ def _report_model(
             [check.position_noise for check in prepared.checks],
             prepared.chain.cutoff if prepared.chain else None,
         ),
-        *report_servo(fits.model, fits.servo, fits.choice.drive),
+        *fits.source.findings(fits.model, fits.choice.drive),
         *(fits.refined.findings() if fits.refined else ()),
         # Without CAD masses there is nothing that could have caused a difference.
         *(report_causes(attribution, fits.model) if fits.model.has_masses else ()),

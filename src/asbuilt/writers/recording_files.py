@@ -36,7 +36,7 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     """Write a recording as CSV or Parquet, by suffix.
 
     The columns are `t`, then `q_NAME`, `qd_NAME` and `qdd_NAME` if logged, and `tau_NAME` of every
-    joint, or `command_NAME` if the torque was computed from the command of a servo.
+    joint, or `command_NAME` if the torque was computed from the command.
 
     Raises
     ------
@@ -134,17 +134,17 @@ def _write_sheet_text(recording: Recording, log: str) -> str:
         " from a payload of known mass.\n"
     )
     sheet: dict[str, Any] = {"torque_source": recording.torque_source}
-    servo = recording.servo if recording.torque_source == "command" else None
-    if servo is not None:
+    law = recording.drive_law
+    if law is not None:
         known = {
             "kp": True,
             "kd": True,
-            "torque_limit": np.all(np.isfinite(servo.torque_limit)),
-            "deadband": np.any(servo.deadband),
-            "lead": np.any(servo.leads),
-            "no_load_speed": np.all(np.isfinite(servo.no_load_speed)),
+            "torque_limit": np.all(np.isfinite(law.torque_limit)),
+            "deadband": np.any(law.deadband),
+            "lead": np.any(law.leads),
+            "no_load_speed": np.all(np.isfinite(law.no_load_speed)),
         }
-        given = {name: getattr(servo, name) for name, is_known in known.items() if is_known}
+        given = {name: getattr(law, name) for name, is_known in known.items() if is_known}
         # One number where all are alike.
         sheet |= {k: v[0] if len(set(v)) == 1 else list(v) for k, v in given.items()}
     return (

@@ -10,7 +10,7 @@ from asbuilt.dynamics import DriveSet, PositionServo
 from asbuilt.experiment import Recording, SignalChain, resolve_chain
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.identification.servo.servo_estimate import estimate_servo
-from asbuilt.workflow.servo import describe_servo_torque, report_servo
+from asbuilt.workflow.servo import CommandedTorque
 
 DRIVE = DriveSet.parse("armature,viscous,coulomb")
 WIDTH = 0.02
@@ -53,9 +53,9 @@ def test_a_deadband_is_found_and_named(seed):
     found = estimated(seed, WIDTH)
     assert found.servo.deadband == pytest.approx((WIDTH,) * 3, rel=0.15)
     assert abs(found.servo.deadband[0] - WIDTH) < 4.0 * found.errors.deadband
-    codes = [each.code for each in report_servo(read_mjcf(ROBOT), found, DRIVE)]
+    codes = [each.code for each in CommandedTorque(found).findings(read_mjcf(ROBOT), DRIVE)]
     assert "servo_deadband" in codes
-    assert "no torque within" in describe_servo_torque(read_mjcf(ROBOT), found)[0]
+    assert "no torque within" in CommandedTorque(found).sentences(read_mjcf(ROBOT))[0]
 
 
 @pytest.mark.study

@@ -14,7 +14,7 @@ from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors
 from asbuilt.workflow import StudyOptions, identify
-from asbuilt.workflow.servo import report_servo
+from asbuilt.workflow.servo import CommandedTorque
 from studied_cases import first_of
 
 KP, DELAY, STEP, RATE = (15.0, 15.0, 15.0), 0.013, 0.001, 100.0
@@ -257,7 +257,7 @@ def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
         assert law.lag - late == pytest.approx(0.04, abs=4e-3)
     (told,) = [
         each
-        for each in report_servo(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
+        for each in CommandedTorque(found).findings(read_mjcf(ROBOT), DriveSet.parse("viscous"))
         if each.code == "servo_current_explained"
     ]
     assert "pan 3" in told.message or "pan 4" in told.message
@@ -270,5 +270,5 @@ def test_a_torque_before_its_command_is_no_delay(recording, skew, told):
     moved = np.stack([np.interp(t + skew, t, x) for x in recording.q.T], axis=1)
     found = estimated(dataclasses.replace(recording, q=moved), unknown(KP))
     assert found.servo.delay == pytest.approx(DELAY - skew, abs=1.5e-3)
-    findings = report_servo(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
+    findings = CommandedTorque(found).findings(read_mjcf(ROBOT), DriveSet.parse("viscous"))
     assert ("servo_ahead" in [each.code for each in findings]) == told

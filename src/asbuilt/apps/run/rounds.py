@@ -390,7 +390,10 @@ def check_log(model: RobotModel, recording: Recording, motion: Motion) -> None:
     It may begin before the motion and end after it.
     """
     asbuilt.check_recording(model, recording).raise_errors()
-    cure = Cure("run the motion of this round to its end, give its log, and go on with --resume")
+    cure = Cure(
+        "run the motion of this round to its end, give its log, and resume the loop",
+        {"resume": True},
+    )
     if recording.duration < SHORTER * motion.duration:
         raise RecordingError(
             f"{recording.source} lasts {recording.duration:.3g} s, the motion that was sent"

@@ -11,7 +11,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
-from asbuilt.description.structure.couplings import TreeMotion, derive_linear_part
+from asbuilt.description.structure.couplings import derive_linear_part
+from asbuilt.description.structure.joint_map import JointMap, ShareDerivatives, TreeMotion
 from asbuilt.description.structure.locking import choose_usual_position
 from asbuilt.description.structure.loop_equations import loop_equations
 from asbuilt.description.structure.loops import (
@@ -43,6 +44,10 @@ DIFFERENCE = 1e-5
 UNMOVED = 1e-9
 """Share below which a motor does not move a joint."""
 SEED = 26
+TRIALS = 20
+"""Batches of random postures after which a mechanism counts as one without room to move."""
+REGULAR = 0.02
+"""Distance to a singular posture from which on rates of passive joints are of usual size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,21 +65,7 @@ class Postures:
 
 
 @dataclass(frozen=True, eq=False)
-class ShareDerivatives:
-    """Hold derivatives of the motion of the joints of the tree by the motion of the motors.
-
-    `second` (N, n_links, n, n) is f's Hessian, `d^2 f_i / dq_j dq_k`; `turning` (N, n_links, n) is
-    dG/dt, so that d qd_tree/dq is `turning` and d qdd_tree/dqd twice that; `position` (N, n_links,
-    n) is d qdd_tree/dq.
-    """
-
-    second: Array
-    turning: Array
-    position: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Closure:
+class Closure(JointMap):
     """Say how motors move the joints of all links where loops place some of them.
 
     The joints of the tree, links in `order`, are at `linear @ (q, p) + offset` for motors q and
@@ -136,9 +127,37 @@ class Closure:
             position[..., j] = (ahead - behind) / (2.0 * step)
         return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
 
-    def parameters(self, chi: Array) -> Array:
-        """Return inertial parameters (..., n_links, 10) in the order of the tree."""
-        return np.ascontiguousarray(chi[..., self.order, :])
+    @property
+    def first_posture(self) -> Array:  # type: ignore[override]
+        """Positions of the motors (n_joints,) at the posture of the description."""
+        return self.home[: self.n_joints]
+
+    def exists(self, q: Array) -> Mask:
+        """Return at which positions of the motors (N, n_joints) the loops close."""
+        return self.postures(q).closed
+
+    def draw(self, lower: Array, upper: Array, rng: np.random.Generator, count: int) -> Array:
+        """Return positions at which the loops close, away from singular postures.
+
+        Limits of a motor often reach farther. Raises `DescriptionError` where there are none.
+        """
+        home = self.first_posture
+        reach = np.pi * self.scale[: self.n_joints]
+        lower = np.maximum(lower, home - reach)
+        upper = np.minimum(upper, home + reach)
+        found = np.empty((0, self.n_joints))
+        for trial in range(TRIALS):
+            # Nearer to the first posture, the longer it takes.
+            width = 1.0 - trial / TRIALS
+            q = home + width * (rng.uniform(lower, upper, (count, self.n_joints)) - home)
+            at = self.postures(q)
+            found = np.vstack([found, q[at.closed & (at.distance > REGULAR)]])
+            if len(found) >= count:
+                return found[:count]
+        raise DescriptionError(
+            f"{self.robot}: of {TRIALS * count} random postures of the motors the loops close at"
+            f" {len(found)}; give limits within which they do"
+        )
 
     def postures(self, q: Array) -> Postures:
         """Return how well the loops close at positions of the motors (N, n)."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.structure.joint_map import JointMap, TreeMotion
 from asbuilt.description.structure.parts import (
     ROOT,
     DriveValues,
@@ -28,43 +29,11 @@ from asbuilt.errors import DescriptionError
 
 
 @dataclass(frozen=True, eq=False)
-class TreeMotion:
-    """Hold the motion of the joints of the tree and how the coordinates move them.
+class Coupling(JointMap):
+    """Say that the joints of all links move with the coordinates in constant shares.
 
-    `q`, `qd`, `qdd` are (N, n_links). `shares` G = dq_tree/dq is (n_links, n_joints) where it is
-    constant, else (N, n_links, n_joints).
-    """
-
-    q: Array
-    qd: Array
-    qdd: Array
-    shares: Array
-
-    @property
-    def by_sample(self) -> Array:
-        """The shares with an axis of samples, of length 1 where they are constant."""
-        return self.shares if self.shares.ndim == 3 else self.shares[None]
-
-    def torques(self, tau: Array) -> Array:
-        """Return `G^T tau` (N, n_joints) for torques (N, n_links) at the joints of the tree."""
-        # Virtual work: tau_q = G^T tau_tree.
-        if self.shares.ndim == 2:
-            return np.ascontiguousarray(tau @ self.shares)
-        return np.ascontiguousarray(np.einsum("si,sik->sk", tau, self.shares))
-
-    def matrices(self, of_tree: Array) -> Array:
-        """Return `G^T M G` (N, n_joints, n_joints) for M (N, n_links, n_links) of the tree."""
-        return np.ascontiguousarray(np.swapaxes(self.shares, -1, -2) @ of_tree @ self.shares)
-
-
-@dataclass(frozen=True, eq=False)
-class Coupling:
-    """Say how the joints of all links move with the coordinates.
-
-    The tree is the robot with a drive at every joint, its links in an order in which parents come
-    first: link i of the tree is link `order[i]` of the robot (n_links,). The joints of the tree are
-    at `matrix @ q + offset` for coordinates q, matrix (n_links, n_joints), offset (n_links,) in rad
-    or m.
+    The joints of the tree are at `matrix @ q + offset`, matrix (n_links, n_joints), offset
+    (n_links,) in rad or m.
     """
 
     order: Indices
@@ -80,15 +49,8 @@ class Coupling:
         ]
         return TreeMotion(at, rates[0], rates[1], self.matrix)
 
-    def derivatives(self, q: Array, qd: Array, qdd: Array) -> None:
-        """Return None: shares do not change with the motion."""
-
-    def parameters(self, chi: Array) -> Array:
-        """Return inertial parameters (..., n_links, 10) in the order of the tree."""
-        return np.ascontiguousarray(chi[..., self.order, :])
-
     @property
-    def of_links(self) -> Array:
+    def of_links(self) -> Array:  # type: ignore[override]
         """The rows of `matrix` in the order of the robot's links, (n_links, n_joints)."""
         return self.matrix[np.argsort(self.order)]
 

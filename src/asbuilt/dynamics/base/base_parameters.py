@@ -203,7 +203,7 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
 def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
     """Return the base parameters, remembered for the robots used last."""
     names = parameter_names(model, drive)
-    by_numbers = model.coupling is not None
+    by_numbers = model.tree is not model
     with use_one_blas_thread():
         if by_numbers:
             columns, matrix = regroup_numerically(model, drive)

@@ -63,13 +63,14 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     qdd = rng.normal(scale=4.0, size=(samples, n))
     Y = np.zeros((n, samples, n_columns))
     rigid = Y[:, :, :first]
-    if (coupling := model.coupling) is None:
+    if model.tree is model:
         _fill_rigid_body_columns(model, q, qd, qdd, rigid)
     else:
         of_tree = np.zeros((model.n_links, samples, first))
-        moved = coupling.motion(q, qd, qdd)
+        moved = model.joint_map.motion(q, qd, qdd)
         _fill_rigid_body_columns(model.tree, moved.q, moved.qd, moved.qdd, of_tree)
-        by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, np.argsort(coupling.order)]
+        order = np.argsort(model.joint_map.order)
+        by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, order]
         shares = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
         rigid[...] = np.einsum("sik,isc->ksc", shares, by_link.reshape(of_tree.shape))
     rigid[:, :, find_negligible_columns(model)] = 0.0

@@ -328,7 +328,7 @@ def _carry_through_joint(
     paced = np.einsum("kij,vj->kvi", moves, parent.paced[:, :6] @ to_joint.T)
     beats = np.zeros((*paced.shape[:2], n))
     beats[0] = parent.paced[:, 6:]
-    coupling = kinetic_functional(paced, np.broadcast_to(axis, paced.shape)).reshape(-1, 10)
+    mutual_energy = kinetic_functional(paced, np.broadcast_to(axis, paced.shape)).reshape(-1, 10)
 
     blocks: list[Array] = []
 
@@ -339,7 +339,7 @@ def _carry_through_joint(
         blocks.append(block)
 
     demand(2.0 * own, _ARMATURE, 1.0)
-    demand(2.0 * coupling, _MUTUAL, beats.reshape(-1, n))
+    demand(2.0 * mutual_energy, _MUTUAL, beats.reshape(-1, n))
     demand(carried[1:].reshape(-1, 10))
     if turns:
         demand(weights[1], _SINE, gravity[:, 3])

@@ -196,20 +196,20 @@ def choose_usual_drive(model: RobotModel, source: str) -> DriveSet:
 
 
 def keep_driven_joints(model: RobotModel, drive: DriveSet) -> DriveSet:
-    """Return drive terms for the joints of a robot except a free base's, which have no drive.
+    """Return drive terms for the joints of a robot that have a drive.
 
-    Raises `UsageError` for terms that contact forces, which are unknown, would enter.
+    Raises `UsageError` for terms that reactions, which are unknown, would enter.
     """
-    if not model.n_floating:
+    if len(model.driven_joints) == model.n_joints:
         return drive
     refused = [term.key for term in drive.terms if term.needs_load or term.free_nonlinear]
-    if refused and model.contacts:
+    if refused and model.has_reactions:
         raise UsageError(
-            f"drive term {refused[0]!r} is not identified where contact forces are projected away:"
+            f"drive term {refused[0]!r} is not identified where reactions are projected away:"
             " it depends on the load of its joint, or on a number that each joint fits alone; state"
             " its nonlinear parameters, or take viscous, coulomb and offset"
         )
-    driven = set(range(model.n_floating + 1, model.n_joints + 1))
+    driven = {k + 1 for k in model.driven_joints}
     return DriveSet(
         tuple(
             replace(term, joints=tuple(sorted(driven.intersection(term.joints or driven))))

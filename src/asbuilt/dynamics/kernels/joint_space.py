@@ -1,4 +1,4 @@
-"""Batched mass and Coriolis matrices, and rows without what acts at contacts.
+"""Batched mass and Coriolis matrices, and rows less what reactions explain.
 
 The inertia of every link seen through the screws of the joints above it.
 

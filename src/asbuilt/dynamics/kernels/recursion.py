@@ -117,7 +117,7 @@ def build_layout(model: RobotModel) -> Layout:
 
     Raises `DescriptionError` for a robot with joints that follow others: its `tree` has a layout.
     """
-    if model.coupling is not None:
+    if model.tree is not model:
         names = ", ".join(j.name_in_tree for j in model.moving_joints if j.mimic is not None)
         raise DescriptionError(
             f"{model.name}: joints that follow others ({names}) are not supported here; lock the"

@@ -87,9 +87,11 @@ def regressor_adjoint(
         else inertial_parameters(plan.model, parameters)
     )
     if plan.tree is not None:
-        tree, coupling = plan.tree, plan.tree.coupling
-        moved, chi = coupling.motion(*states), coupling.parameters(chi).reshape(-1)
-        # Couplings: tau = G^T tau_tree, so that weights go to the tree through G.
+        tree = plan.tree
+        joint_map = tree.joint_map
+        moved = joint_map.motion(*states)
+        chi = joint_map.parameters(chi).reshape(-1)
+        # tau = G^T tau_tree, so that weights go to the tree through G.
         motion, G = (moved.q, moved.qd, moved.qdd), moved.by_sample
         parts = regressor_adjoint(
             tree.plan,
@@ -99,12 +101,12 @@ def regressor_adjoint(
             chi,
         )
         position, rate, acceleration = (moved.torques(part) for part in parts)
-        if (change := coupling.derivatives(*states)) is not None:
+        if (change := joint_map.derivatives(*states)) is not None:
             by_share = tree.torn(weights, tree.evaluated(*motion), n_samples)
             if loads is not None:
                 tau = inverse_dynamics(tree.plan.model, *motion, parameters=chi)
                 by_share += tau[:, :, None] * lam[:, None]
-            # Second derivatives of the coupling act by the torque of the tree itself.
+            # Second derivatives of the map act by the torque of the tree itself.
             position += np.einsum("sik,sikj->sj", by_share, change.second)
             # qd_tree = G qd: its change with q is G' qd, here `turning`.
             position += np.einsum("si,sij->sj", parts[1], change.turning)

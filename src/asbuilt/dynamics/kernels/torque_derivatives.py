@@ -75,15 +75,16 @@ def torque_derivatives(
             f"sets of parameters of {model.name} must have shape (n_sets, {10 * model.n_links}),"
             f" got {sets.shape}"
         )
-    if (coupling := model.coupling) is not None:
-        moved = coupling.motion(qs, qds, qdds)
+    if model.tree is not model:
+        joint_map = model.joint_map
+        moved = joint_map.motion(qs, qds, qdds)
         state = moved.q, moved.qd, moved.qdd
-        in_tree = coupling.parameters(sets.reshape(len(sets), -1, 10)).reshape(len(sets), -1)
+        in_tree = joint_map.parameters(sets.reshape(len(sets), -1, 10)).reshape(len(sets), -1)
         of_tree = torque_derivatives(model.tree, *state, in_tree)
         G = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
         # d tau = G^T (d tau_tree) G, and the change of G below.
         found = np.einsum("aik,abijo,ajl->abklo", G, of_tree, G, optimize=True)
-        if (change := coupling.derivatives(qs, qds, qdds)) is not None:
+        if (change := joint_map.derivatives(qs, qds, qdds)) is not None:
             by_rate, by_acceleration = of_tree[..., 1], of_tree[..., 2]
             turned = np.einsum("abij,ajl->abil", by_acceleration, change.turning)
             moved_on = np.einsum("abij,ajl->abil", by_rate, change.turning)

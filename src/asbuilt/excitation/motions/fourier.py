@@ -321,11 +321,11 @@ def random_point_to_point(
 
 
 def _closes(model: RobotModel, motion: Motion) -> bool:
-    """Return whether the loops of the robot, if it has any, close all along a motion."""
-    if model.closure is None:
+    """Return whether the robot has a posture all along a motion."""
+    if find_first_posture(model) is None:
         return True
     q = motion.derivative(motion.sample_times(CHECKED_RATE), 0)
-    return bool(model.closure.postures(q).closed.all())
+    return bool(model.joint_map.exists(q).all())
 
 
 def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
@@ -337,7 +337,9 @@ def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
 
 def _make_torque_error(model: RobotModel) -> MotionError:
     limits = ", ".join(f"{limit:g}" for limit in MotionBounds.of(model).torque)
-    if model.closure is not None and not np.any(np.isfinite(MotionBounds.of(model).torque)):
+    if find_first_posture(model) is not None and not np.any(
+        np.isfinite(MotionBounds.of(model).torque)
+    ):
         return MotionError(
             f"{model.name}: no random motion was found along which the loops close; check points of"
             " the loops and the posture of the description"

@@ -15,7 +15,7 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import inverse_dynamics, link_poses, mass_matrix
-from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.dynamics.reactions import contact_jacobians
 from asbuilt.excitation.limits import MotionBounds
 
 # Sizes of the motions: own choices, what legs of every size do without special skill.

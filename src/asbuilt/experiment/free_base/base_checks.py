@@ -14,7 +14,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.contact import contact_basis, contact_jacobians
+from asbuilt.dynamics.reactions import contact_basis, contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
 from asbuilt.experiment.free_base.feet import (
     check_forces,

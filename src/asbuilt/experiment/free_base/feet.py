@@ -10,7 +10,7 @@ foot stands. Forces that act there have another moment than at its centre: legs 
 the lowest 2 are rubber turn by 0.5 rad in a step, and the moment is off by as much as 1 cm.
 
 In `tau + J^T f = Y chi` a measured f is known and enters the left side; one that nobody measured
-is projected away (`dynamics.contact`). Forces [N] and moments [N m] act on the robot and are in
+is projected away (`dynamics.reactions`). Forces [N] and moments [N m] act on the robot and are in
 axes of the frame that names them, as a sensor that is fixed there measures them.
 
 All forces on a robot together move its centre of mass and carry its weight, whatever its joints do.
@@ -28,7 +28,7 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.parts import Contact
 from asbuilt.dynamics import inverse_dynamics, link_poses
-from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
+from asbuilt.dynamics.reactions import SAMPLES_AT_ONCE, contact_jacobians
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names

@@ -12,7 +12,6 @@ import numpy as np
 from asbuilt.description.joint_matching import names_gripper
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.columns import add_base_coordinates, with_base_columns
 from asbuilt.experiment.logs.assembly import (
     FILE_QUANTITIES,
     apply_sheet,
@@ -224,6 +223,11 @@ def read_recording(
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
+    from asbuilt.experiment.free_base.columns import (  # noqa: PLC0415 - light start
+        add_base_coordinates,
+        with_base_columns,
+    )
+
     recording, sensor = with_base_columns(recording, table, sheet, model)
     recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
     return add_base_coordinates(recording, model, sensor)

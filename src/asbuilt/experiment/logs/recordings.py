@@ -12,7 +12,6 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.free_base.feet import set_rolling_radii
 from asbuilt.experiment.logs.formats.log_format import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, is_long
 from asbuilt.experiment.logs.readers import (
@@ -161,7 +160,13 @@ def read_fitted_recordings(
         read = [[_select_joints(item, model.joint_names) for item in items] for items in read]
     refuse_same_recordings([item for items in read for item in items])
     whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
-    return set_rolling_radii(model, whole_ones), read
+    if model.has_reactions:
+        from asbuilt.experiment.free_base.feet import (  # noqa: PLC0415 - light start
+            set_rolling_radii,
+        )
+
+        model = set_rolling_radii(model, whole_ones)
+    return model, read
 
 
 def refuse_same_recordings(items: Sequence[Recorded]) -> None:

@@ -13,7 +13,6 @@ from asbuilt.description.model import RobotModel
 from asbuilt.description.plausibility import check_plausibility, list_corrections
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.base_checks import check_free_base, drop_base_joints
 from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, take_first_samples
 from asbuilt.experiment.quality.clock_checks import check_clock
@@ -289,6 +288,11 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
 
     Checks that compare torques with the model's are left out, since contacts push the robot.
     """
+    from asbuilt.experiment.free_base.base_checks import (  # noqa: PLC0415 - light start
+        check_free_base,
+        drop_base_joints,
+    )
+
     held = check_recording(model.standing, drop_base_joints(model, recording))
     # Cures name a motion designed for a held base, which one on legs cannot use.
     kept = (

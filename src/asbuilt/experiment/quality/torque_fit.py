@@ -284,11 +284,10 @@ class TorqueFit:
     def cost(self) -> float:
         """Sum over joints of the logarithm of the misfit, for the better sign of all torques.
 
-        Infinite where loops do not close at the positions.
+        Infinite where the robot has no posture at the positions.
         """
         # Positions swapped, shifted or turned may be out of reach of a closed chain.
-        closure = self.model.closure
-        if closure is not None and not closure.postures(self.q).closed.all():
+        if not self.model.joint_map.exists(self.q).all():
             return np.inf
         # Either sign, as an order is asked before the sign.
         return min(float(np.sum(np.log(self.misfit(sign) + COUNTS))) for sign in (1, -1))

@@ -298,14 +298,14 @@ def choose_band(
     rate: float,
     *,
     of_velocity: bool = False,
-    commanded: bool = False,
+    computed: bool = False,
 ) -> Band:
     """Return the default cutoff of segments at one rate [Hz].
 
-    The torque of a command contains the positions and their noise, so that it is no measure of
-    them; if it is `commanded`, noise demands no cutoff below `LOWEST_CUTOFF`. A lower one turns the
-    phase by which stiffness and delay of the servo are found. With `of_velocity` the noise is in
-    the logged velocities, from which accelerations follow.
+    A torque that is `computed` from the positions contains their noise, so that it is no measure
+    of it: noise then demands no cutoff below `LOWEST_CUTOFF`. A lower one turns the phase by which
+    stiffness and delay of the drive are found. With `of_velocity` the noise is in the logged
+    velocities, from which accelerations follow.
     """
     moved = [
         # Velocities are summed to positions, so that one rule serves both.
@@ -323,7 +323,7 @@ def choose_band(
         [(x, tau) for x, tau in logged if x is not None], rate, of_velocity=of_velocity
     )
     cutoff = wanted if noise is None else noise.cutoff(wanted)
-    if commanded:
+    if computed:
         # Below it the phase that shows stiffness and delay would turn.
         cutoff = max(cutoff, min(wanted, LOWEST_CUTOFF))
     return Band(bandwidth, wanted, cutoff, noise)

@@ -241,7 +241,7 @@ def settle_chain(
     The bound is `Samples.clock_bound`.
     """
     chain = _fit_contacts(chain, recording)
-    commanded = recording.torque_source == "command"
+    computed = recording.torque_source == "command"
     notes = list[str]()
     clock_bound = np.inf
     # Checked before anything is chosen: no cutoff suits such a clock.
@@ -265,7 +265,7 @@ def settle_chain(
         )
     band = None
     if chain.cutoff is None:
-        band = choose_band(segments, rate, commanded=commanded)
+        band = choose_band(segments, rate, computed=computed)
         # Velocities are compared with the derivative under the cutoff of the positions.
         chain = replace(chain, cutoff=band.cutoff)
     if chain.velocity == "auto":
@@ -288,7 +288,7 @@ def settle_chain(
         )
     if band is not None:
         if chain.velocity == "measured":
-            band = choose_band(segments, rate, of_velocity=True, commanded=commanded)
+            band = choose_band(segments, rate, of_velocity=True, computed=computed)
             # Noise of logged velocities, not of positions, then limits the band.
             chain = replace(chain, cutoff=band.cutoff)
         notes.insert(0, str(band))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Mask, find_true_ranges
+from asbuilt.dynamics.reactions import Reactions
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import EncoderSide, TorqueSource
 from asbuilt.findings import join_names
@@ -171,6 +172,11 @@ class Samples:
     def has_torque(self) -> Mask:
         """Which joints have a usable torque channel, shape (n,)."""
         return np.isfinite(self.slowest or np.zeros(self.n_joints))
+
+    @property
+    def reactions(self) -> Reactions:
+        """Forces that act on the robot and that nobody measured."""
+        return Reactions(self.contact, self.noise)
 
     @property
     def n_filtered(self) -> int:

@@ -124,6 +124,8 @@ class EntropicProblem:
         self.rows = np.zeros((0, len(scale))) if bounds is None else bounds.rows
         self.offsets = np.zeros(0) if bounds is None else bounds.offsets
         self.slopes = self.rows @ self.free
+        # Most bounds are of drives, one column each: what no bound has costs no product.
+        self.bounded = np.flatnonzero(self.slopes.any(axis=0))
         self.held = held
         self._reduced: tuple[Array, Array, Array] | None = None
 
@@ -274,10 +276,11 @@ class _Search:
         # Of -barrier log(slack).
         gradient -= (self.barrier / self.slack[a]) @ problem.slopes
         # Multipliers in place of barrier / slack: the Hessian halfway to the boundary.
-        hessian = (
-            problem.slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]
-        ) @ problem.slopes
-        hessian += self.gram[a]
+        slopes = problem.slopes[:, problem.bounded]
+        hessian = self.gram[a].copy()
+        hessian[:, problem.bounded[:, None], problem.bounded] += (
+            slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]
+        ) @ slopes
         problem.curve(hessian, _transpose(T) @ T)
         return gradient, hessian, T, V
 

@@ -163,9 +163,9 @@ def find_gains_in_use(recordings: Sequence[Recording]) -> Array:
 
 
 def _read_gains(recording: Recording) -> Array:
-    """Return the gains (n,) of a recording, or the stiffness of its servo, 1 where unknown."""
-    if recording.torque_source == "command" and recording.servo is not None:
-        return np.asarray(np.nan_to_num(recording.servo.kp, nan=1.0), dtype=np.float64)
+    """Return the gains (n,) of a recording, or the stiffness of its law, 1 where unknown."""
+    if recording.drive_law is not None:
+        return np.asarray(np.nan_to_num(recording.drive_law.kp, nan=1.0), dtype=np.float64)
     return np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains)
 
 

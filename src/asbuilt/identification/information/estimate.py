@@ -137,7 +137,7 @@ def residual_deviation(
 ) -> Array:
     """Return the standard deviation of each joint's residual (n,), infinite without torque.
 
-    Joints whose rows were mixed, since contact forces were projected away, have one noise.
+    Joints whose rows were mixed, since reactions were projected away, have one noise.
     """
     roots = zip(information.support, information.joint_factors, weights, strict=True)
     parts = [weight * factor[:-1, :-1] @ inverse_root[own] for own, factor, weight in roots]

@@ -40,7 +40,7 @@ def build_random_motion_rows(
 
 
 def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
-    """Return positions (N, n), uniform within the limits, at which loops close."""
+    """Return positions (N, n), uniform within the limits, at which there are postures."""
     limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in model.joints]).T
     far = np.array([np.pi if joint.is_revolute else 1.0 for joint in model.joints])
     # Joints without limits count as a whole circle, or two metres of travel.

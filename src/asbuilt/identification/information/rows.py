@@ -14,8 +14,6 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics import BaseParameters, gravity_torque
-from asbuilt.dynamics.contact import contact_basis
-from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
@@ -112,11 +110,11 @@ class KeptRows:
     def find(self, plan: RegressorPlan, samples: Samples) -> dict[int, tuple[Array, ...]] | None:
         """Return `[W_k | tau_k]^T` of each joint by the start of a segment; None if they are many.
 
-        Rows at contacts depend on forces that are projected away, and are not kept.
+        Rows from which reactions are projected depend on more, and are not kept.
         """
         # Eight bytes a number, torque included.
         size = 8.0 * samples.n_filtered * sum(len(own) + 1 for own in plan.support)
-        if samples.contact is not None or size > ROWS.most_held:
+        if samples.reactions or size > ROWS.most_held:
             return None
         with self._lock:  # blocks of one motion are asked for by several threads
             for entry in self._entries:
@@ -242,10 +240,9 @@ class SampleBlock:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
         A chunk is valid until the next. Rows of a joint that moves slower than `samples.slowest`
-        are zero. Where forces at contacts are projected away, they are in units of `samples.noise`,
-        in which that loses nothing (Aitken, 1935). `further` returns more columns of a span of
-        samples, each (L, n), placed before the torque; `plan` has a spare row for each and one
-        more.
+        are zero. Where reactions are projected away, rows are in units of `samples.noise`.
+        `further` returns more columns of a span of samples, each (L, n), placed before the torque;
+        `plan` has a spare row for each and one more.
         """
         samples = self.samples
         parallel = self.samples.parallel
@@ -272,14 +269,7 @@ class SampleBlock:
             for k, columns in enumerate(rows):
                 for place, values in enumerate(last_rows, start=-len(last_rows)):
                     columns[place] = values[:, k]
-            if samples.contact is not None:
-                for k, noise in enumerate(samples.noise):
-                    # In units of their noise the projection loses nothing (Aitken).
-                    np.divide(rows[k], noise, out=rows[k])
-                basis = contact_basis(
-                    plan.model, samples.q[span], samples.contact[span], samples.noise
-                )
-                project(basis, buffer, span.stop - span.start)
+            samples.reactions.at(span).project_rows(plan.model, samples.q[span], rows, buffer)
             filtered = rows
             if parallel:
                 parallel.apply(buffer[:, : span.stop - span.start], out=output[:, : last - first])
@@ -433,10 +423,10 @@ class Rows:
 
 
 def _same_motion(one: Samples, other: Samples) -> bool:
-    """Return whether samples differ at most by their torque, without contact."""
+    """Return whether samples differ at most by their torque, without reactions."""
     pairs = zip(
         (one.t, one.q, one.qd, one.qdd), (other.t, other.q, other.qd, other.qdd), strict=True
     )
     alike = one.segments == other.segments and one.slowest == other.slowest
-    filters = one.parallel is other.parallel and one.contact is other.contact is None
-    return alike and filters and all(np.array_equal(x, y) for x, y in pairs)
+    alike &= one.parallel is other.parallel and not (one.reactions or other.reactions)
+    return alike and all(np.array_equal(x, y) for x, y in pairs)

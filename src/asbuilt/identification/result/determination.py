@@ -12,10 +12,9 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.kinematics import draw_postures_within
+from asbuilt.dynamics.reactions import Reactions
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, join_names
@@ -197,10 +196,10 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     information = known_information(result)
     combinations = _find_combinations(result, information, determined)
     weak = weak_parameters(result)
-    # A base that floats does not take poses: `leg_advice` has the motions of legs.
+    # Where equations mix joints none moves alone: `legs` has the motions of legs.
     advice = (
         _choose_advice(result, information, weak)
-        if (motions and weak.size and not result.model.n_floating)
+        if (motions and weak.size and not result.model.mixes_joints)
         else ()
     )
     members = {key: tuple(names[mask].tolist()) for key, mask in classes.items()}
@@ -389,20 +388,13 @@ def sample_information(
     q: Array,
     qd: Array,
     qdd: Array,
-    contact: Array | None = None,
-    noise: Sequence[float] = (),
+    reactions: Reactions = Reactions(),  # noqa: B008 - frozen
 ) -> Array:
-    """Return the mean information (p, p) of states (N, n), less forces at closed contacts.
-
-    `contact` and `noise` are arguments of `contact_basis`.
-    """
+    """Return the mean information (p, p) of states (N, n), less what reactions explain."""
     plan = RegressorPlan.of(result.model, result.base.drive, result.base.columns)
     buffer = plan.buffer(len(q))
     rows = plan.evaluate(q, qd, qdd, buffer)
-    if contact is not None:
-        for own, each in zip(rows, noise, strict=False):
-            np.divide(own, each, out=own)
-        project(contact_basis(result.model, q, contact, noise), buffer, len(q))
+    reactions.project_rows(result.model, q, rows, buffer)
     total = np.zeros((result.n_base, result.n_base))
     largest = float(result.sigma[np.isfinite(result.sigma)].max(initial=0.0))
     sigma = np.maximum(result.sigma, 1e-9 * max(largest, 1e-300))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -170,6 +169,7 @@ def feasible_intervals(
     tolerance: float = 0.2,
     geometry: bool = False,
     region: Region = "each",
+    explained: bool = True,
 ) -> tuple[FeasibleInterval, ...]:
     """Return the least and greatest values over the bodies that the recordings allow.
 
@@ -196,6 +196,8 @@ def feasible_intervals(
         steel.
     region
         Whether each interval holds with 95 %, or all of them together.
+    explained
+        Whether what takes the place of a quantity unseen is named, which is a program of its own.
 
     Returns
     -------
@@ -221,15 +223,15 @@ def feasible_intervals(
     cad = _read_cad(result)
 
     def bound(quantity: _Quantity) -> FeasibleInterval:
-        return _bound(quantity, allowed, chosen, cad)
+        def find_ends() -> tuple[float, float]:
+            return allowed.find_interval(quantity.value, quantity.divisor)
 
-    if stated:
-        return tuple(map(bound, found))
-    # Verdict, exported file and tables ask for the same masses.
-    return tuple(
-        result.once((region, each.name, each.value.tobytes()), partial(bound, each))
-        for each in found
-    )
+        key = region, quantity.name, quantity.value.tobytes()
+        # Verdict, exported file and tables ask for the same masses.
+        ends = find_ends() if stated else result.once(key, find_ends)
+        return _explain_ends(quantity, ends, allowed, chosen, cad, explained=explained)
+
+    return tuple(map(bound, found))
 
 
 def describe_condition(result: IdentificationResult) -> str:
@@ -331,16 +333,23 @@ def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[s
     return (f"{symbol}:{effect.joint}", 0.0) if seen else None
 
 
-def _bound(
-    quantity: _Quantity, region: FeasibleRegion, chosen: Array | None, cad: Array
+def _explain_ends(
+    quantity: _Quantity,
+    ends: tuple[float, float],
+    region: FeasibleRegion,
+    chosen: Array | None,
+    cad: Array,
+    *,
+    explained: bool,
 ) -> FeasibleInterval:
-    least, greatest = region.find_interval(quantity.value, quantity.divisor)
+    least, greatest = ends
     alone = region.find_estimate(quantity.value)
     undetermined = quantity.value
     if quantity.divisor is not None and alone is not None:
         alone = _divide(alone, region.find_estimate(quantity.divisor))
         undetermined = quantity.divisor
-    others, own = region.find_confounded(undetermined) if alone is None else ((), ())
+    asked = explained and alone is None
+    others, own = region.find_confounded(undetermined) if asked else ((), ())
     # Where bodies are consistent only far from the estimate, they say more than it does.
     if alone is not None and not least <= alone[0] <= greatest:
         alone = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
@@ -60,6 +60,11 @@ FEASIBLE = "asbuilt.identification.result.feasible"
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
+MATRICES = (
+    *("covariance", "textbook_covariance", "singular_values", "cause_data"),
+    *("free", "scatter", "trained", "bias"),
+)
+"""Fields that are stored and not printed: matrices, and what errors are derived from."""
 
 
 T = TypeVar("T")
@@ -260,6 +265,11 @@ class IdentificationResult:
 
     def _repr_html_(self) -> str:
         return str(self.summary()._repr_html_())
+
+    @property
+    def decided_by_motion(self) -> bool:
+        """Whether simulated motion decides its use, since no torque was measured."""
+        return self.servo is not None
 
     @property
     def robot(self) -> str:
@@ -555,19 +565,15 @@ class IdentificationResult:
 
         Plain numbers, texts and lists, None for what is undefined.
         """
-        left_out = (
-            *("covariance", "textbook_covariance", "singular_values", "cause_data"),
-            *("free", "scatter", "trained", "bias"),
-        )
-        document = self._document() | {"encoders": [encoder.as_dict() for encoder in self.encoders]}
-        return {name: value for name, value in document.items() if name not in left_out}
+        document = self._document(but=MATRICES)
+        return document | {"encoders": [encoder.as_dict() for encoder in self.encoders]}
 
-    def _document(self) -> dict[str, Any]:
-        """Return everything but the robot and its base parameters."""
+    def _document(self, but: Container[str] = ()) -> dict[str, Any]:
+        """Return everything but the robot, its base parameters and the fields in `but`."""
         own = {
             item.name: make_plain(getattr(self, item.name))
             for item in fields(self)
-            if item.name not in REBUILT
+            if item.name not in REBUILT and item.name not in but
         }
         return {
             "robot": self.robot,

@@ -13,7 +13,6 @@ from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, store_as
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, drive_torque, inverse_dynamics
-from asbuilt.dynamics.contact import without_contact_forces
 from asbuilt.errors import ResultError
 from asbuilt.experiment.signal.samples import Samples
 
@@ -256,12 +255,14 @@ def parameter_torque(
 def pair_with_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
     """Put a predicted torque (N, n), given at every sample, next to the one measured.
 
-    Both go through the filter of the samples, less what forces at contacts explain. Torques of
+    Both go through the filter of the samples, less what reactions explain. Torques of
     joints without a torque channel are NaN.
     """
-    if samples.contact is not None:
+    # Torques are compared in their unit, not in that of the noise.
+    plain = replace(samples.reactions, noise=())
+    if plain:
         tau, raw, torque = (
-            without_contact_forces(model, samples.q, samples.contact, each)
+            plain.project_torque(model, samples.q, each)
             for each in (samples.tau, samples.tau_raw, torque)
         )
         samples = replace(samples, tau=tau, tau_raw=raw)

@@ -87,7 +87,7 @@ def _read_limit(goal: GoalLimit | None) -> float:
 
 
 def _refuse_stiffness(model: RobotModel, servo: PositionServo, shared: bool) -> None:
-    """Raise `UsageError` where no stiffness is above zero, or contacts mix unknown ones."""
+    """Raise `UsageError` where no stiffness is above zero, or reactions mix unknown ones."""
     unknown = np.isnan(servo.kp)
     if not np.any(servo.kp):
         raise UsageError(
@@ -96,7 +96,8 @@ def _refuse_stiffness(model: RobotModel, servo: PositionServo, shared: bool) -> 
             cure=Cure("state the stiffness that the servos have", {"kp": "LIST"}),
             value=0.0,
         )
-    if model.contacts and unknown.any() and not (shared and unknown[model.n_floating :].all()):
+    driven = unknown[model.driven_joints]
+    if model.has_reactions and unknown.any() and not (shared and driven.all()):
         raise UsageError(
             f"{model.name} touches the ground, whose forces mix the joints, so that a stiffness of"
             f" each ({int(unknown.sum())} are unknown) does not follow from commands",
@@ -330,13 +331,13 @@ def _alternate(
             # The scale is that of the links: drives are free columns of their own.
             links = design.parameters.copy()
             links[10 * model.n_links :] = 0.0
-            # Signals at contacts are multiplied by their gains already, before the projection.
-            own_kd = (1.0,) * unknown.size if model.contacts else servo.kd
+            # Signals that are projected are multiplied by their gains already.
+            own_kd = (1.0,) * unknown.size if model.has_reactions else servo.kd
             scale = find_scale(rows, base, links, own_kd, unknown, shared=shared)
             # An undetermined stiffness has an infinite error; any finite value lets the fit go on.
             kp = np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), kp)
         gains = kp.tolist(), kd
-        if model.contacts:
+        if model.has_reactions:
             gains = np.where(unknown, kp, 1.0).tolist(), [1.0] * len(kd)
         found = fit_delay(rows, base, design, *gains, replayed)
         if not free_delay:

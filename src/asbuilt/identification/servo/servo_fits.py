@@ -81,7 +81,7 @@ def find_scale(
     drives zero); armature and friction of the joint are free and have no scale. There is no
     constant torque: a servo has none, and over a small range of motion gravity is almost constant,
     so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with
-    their residual variance r, so that contact does not count. The stiffness is shared by all
+    their residual variance r, so that collisions do not count. The stiffness is shared by all
     unknown joints if asked, or if some joint's rows do not determine its own.
 
     Raises nothing: a stiffness that nothing determines has an infinite standard error.
@@ -160,7 +160,7 @@ def _estimate_own_scale(
 def _find_varying_columns(base: BaseParameters) -> Indices:
     """Return the drive columns that are no constant torque.
 
-    Rows have columns of other joints only where forces at contacts are projected away.
+    Rows have columns of other joints only where reactions are projected away.
     """
     varies = [s not in Offset.symbols for term in base.drive.terms for s in term.symbols]
     return np.flatnonzero(np.resize(varies, base.n_standard - 10 * base.n_links))

@@ -22,6 +22,7 @@ from asbuilt.dynamics import BaseParameters, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.servo.servo_rows import (
@@ -105,8 +106,8 @@ def replay(
     roughly
         With one pair of noise and its negative alone.
     """
-    # A free base falls otherwise after a second: no replay stays near the recording.
-    if model.n_floating:
+    # What nothing drives falls otherwise after a second: no replay stays near the recording.
+    if len(model.driven_joints) < model.n_joints:
         return None
     total = sum(recording.n_samples for recording in recordings)
     pairs = 1 if roughly else min(max(round(REPLAY_SAMPLES / (2 * total)), 1), REPLAY_MOST_PAIRS)
@@ -243,12 +244,11 @@ def estimate_position_noise(recording: Recording) -> Array:
     runs = [rows for rows in _split_segments(recording) if rows.size >= REPLAY_WINDOW]
     if not runs:
         return np.zeros(recording.q.shape[1])
-    from scipy.signal import welch  # noqa: PLC0415 - light start
-
     # At a sampling rate of 2 the density of white noise over [0, 1] is its variance.
-    spectra = [welch(recording.q[rows], 2.0, nperseg=REPLAY_WINDOW, axis=0) for rows in runs]
+    spectra = [power_density(recording.q[rows], 2.0, REPLAY_WINDOW) for rows in runs]
     # High frequencies, where no robot moves: what is left there is noise.
-    parts = [np.mean(density[at > REPLAY_ABOVE], axis=0) for at, density in spectra]
+    high = np.fft.rfftfreq(REPLAY_WINDOW, 0.5) > REPLAY_ABOVE
+    parts = [np.mean(density[high], axis=0) for density in spectra]
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 

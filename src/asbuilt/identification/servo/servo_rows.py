@@ -14,7 +14,6 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.codec import store_as
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.contact import without_contact_forces
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
@@ -86,7 +85,7 @@ class CommandedMotion:
     filters
         What filters the motion, once for all who share it.
     noise
-        Noise (n,) of the equations of a robot with contacts.
+        Noise (n,) of the equations, of a robot on which reactions act.
     """
 
     model: RobotModel
@@ -138,7 +137,7 @@ class CommandedMotion:
         An unknown stiffness, the same for all joints, multiplies them as well afterwards.
         """
         servo = self.recording.servo
-        if servo is None or not self.model.contacts:
+        if servo is None or not self.model.has_reactions:
             return np.ones((2, self.model.n_joints))
         return np.stack([np.nan_to_num(servo.kp, nan=1.0), np.nan_to_num(servo.kd)])
 
@@ -162,12 +161,9 @@ class CommandedMotion:
         return drop_slow_rows(found, self.recording, self.chain.cutoff or np.inf)
 
     def _filter(self, signal: Array) -> Samples:
-        """Return samples with a signal (N, n) in place of the torque, less forces at contacts."""
+        """Return samples with a signal (N, n) in place of the torque, less reactions."""
         found = self._divide(self.motion.with_torque(signal).samples())
-        if found.contact is None:
-            return found
-        state = found.q, found.contact, found.tau, found.noise
-        return replace(found, tau=without_contact_forces(self.model, *state))
+        return replace(found, tau=found.reactions.project_torque(self.model, found.q, found.tau))
 
     def _divide(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
@@ -222,7 +218,7 @@ def reduce_servo_recordings(
 ) -> Equations:
     """Reduce recordings whose command acts after `delay` [s] to rows `[W_k, qd, du/dt, u - q]`.
 
-    Where forces at contacts are projected away, so are the signals, each times its gain: rows
+    Where reactions are projected away, so they are from the signals, each times its gain: rows
     `[P W, P kd qd, P kp du/dt, P kp (u - q)]`.
 
     `motions` belong to the recordings, each of which has the servo that it is to have. `rates` are

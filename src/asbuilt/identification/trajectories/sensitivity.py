@@ -122,7 +122,7 @@ class Trajectories:
             codes,
             program,
             numbers,
-            *self._coupling,
+            *self._shares,
             *_build_matrices(robot),
             *robot.stiffness,
             *robot.deviations,
@@ -260,27 +260,24 @@ class Trajectories:
         ]
 
     @property
-    def _coupling(self) -> tuple[Indices, Array, Array]:
+    def _shares(self) -> tuple[Indices, Array, Array]:
         """Joint that moves each joint of the tree, its share and offset, three (n_links,).
 
         Empty for a robot whose joints all have a drive.
         """
-        coupling = self.model.constant_coupling("simulation of a log")
-        if coupling is None:
+        joint_map = self.model.constant_map("simulation of a log")
+        if self.model.tree is self.model:
             return np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)
-        moved_by = np.argmax(np.abs(coupling.matrix), axis=1)
-        shares = coupling.matrix[np.arange(len(moved_by)), moved_by]
-        return moved_by.astype(np.int64), shares, np.array(coupling.offset)
+        moved_by = np.argmax(np.abs(joint_map.matrix), axis=1)
+        shares = joint_map.matrix[np.arange(len(moved_by)), moved_by]
+        return moved_by.astype(np.int64), shares, np.array(joint_map.offset)
 
     def _compile_program(
         self, robot: SimulatedRobot, links: Array
     ) -> tuple[Indices, Indices, Array]:
         """Return codes of the links, codes with the drive program, and numbers."""
         layout = build_layout(self.model.tree)
-        coupling = self.model.coupling
-        bodies = links.reshape(-1, 10)
-        if coupling is not None:
-            bodies = coupling.parameters(bodies)
+        bodies = self.model.joint_map.parameters(links.reshape(-1, 10))
         others = robot.drive.without(*IN_MATRICES)
         program, constants = compile_drives(
             others, robot.values_of(*others.keys).reshape(-1), self.model.motor_shares

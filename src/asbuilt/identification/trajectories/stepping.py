@@ -409,10 +409,10 @@ def sensitivities(
                 if kept[i] >= 0.0:
                     for x in range(moving):
                         r = joints[place[x]]
-                        coupling = (masses[w, s, r, k] + rotors[r, k] + h * damping[r, k]) / h
-                        coupling *= 1.0 - kept[i]
+                        pull = (masses[w, s, r, k] + rotors[r, k] + h * damping[r, k]) / h
+                        pull *= 1.0 - kept[i]
                         for c in range(p):
-                            right[x, c] += coupling * dv[i, c]
+                            right[x, c] += pull * dv[i, c]
                     for c in range(p):
                         dv[i, c] *= kept[i]
             if factor_cholesky(A, dense, moving):

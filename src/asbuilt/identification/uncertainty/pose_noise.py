@@ -27,9 +27,12 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, find_base_parameters, observation_matrix
-from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.drives.torque import choose_usual_drive
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.dynamics.reactions import contact_basis
+from asbuilt.errors import AsbuiltError
+from asbuilt.experiment import Recording, Samples, resolve_chain
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.signal_chain import SignalChain, Velocity
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
@@ -37,6 +40,7 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
+from asbuilt.identification.information.triangular import triangular_factor
 
 DOUBT = 0.2
 """Standard error of what is taken away, as a share of it: noise is not quite white, friction not
@@ -262,3 +266,34 @@ def _average_squared_projection(model: RobotModel, samples: Samples) -> Array:
     # P = 1 - Q^T Q with an orthonormal basis Q of what contacts act on.
     P = np.eye(model.n_joints) - np.einsum("ikn,ijn->nkj", basis, basis)
     return np.asarray(np.mean(P**2, axis=0))
+
+
+def settle_rates(
+    model: RobotModel, heads: Sequence[Recording], chain: SignalChain, filters: MotionFilters
+) -> SignalChain:
+    """Return the chain with the rates from which the torque of a free base follows better.
+
+    Feet that touch down turn joints faster than positions at the rate of a log resolve, so that
+    high frequencies are no measure of noise, as they are for an arm (`compare_velocities`). What
+    rates are for decides: the torque. Rows, torques and parameters of both fits are the same, so
+    that the smaller residual of least squares decides. The chain stays open where a log holds no
+    velocities.
+    """
+    if chain.velocity != "auto" or any(head.qd is None for head in heads):
+        return chain
+    # Both fits have the same low-pass, so that the rates alone differ.
+    alike = resolve_chain(chain, *heads, filters=filters)
+    base = find_base_parameters(model, choose_usual_drive(model, heads[0].torque_source))
+
+    def residual(velocity: Velocity) -> float:
+        chain_of_rates = replace(alike, velocity=velocity, delay=None)
+        samples = [filters.prepare(head, chain_of_rates).samples() for head in heads]
+        # The last entry of a triangle of rows and torque is the residual.
+        factor = triangular_factor(accumulate_stream(model, base, samples).stacked())
+        return float(factor[-1, -1])
+
+    try:
+        measured = residual("measured") < residual("derived")
+    except (AsbuiltError, np.linalg.LinAlgError):
+        return chain
+    return replace(chain, velocity="measured" if measured else "derived")

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, join_names, undesigned
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.tables import format_share
 from asbuilt.validation.comparison.comparison import recording_name
 
@@ -32,7 +32,7 @@ COVERAGE_PERCENTILE = 99.0  # Of speed [%], which single samples do not decide
 def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[Finding]:
     """Yield what of range and speed the training motion leaves out.
 
-    Joints without limits do not count, nor do the coordinates of a base that floats.
+    Joints without limits do not count, nor do those without a drive.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
     # A joint that turns for ever covers a turn at most.
     span = np.minimum([limit.upper - limit.lower for limit in limits], turn)
     speed = np.array([limit.velocity for limit in limits])
-    # A base that floats has no limits of its own.
-    span[: model.n_floating] = speed[: model.n_floating] = np.inf
+    driven = np.isin(np.arange(model.n_joints), model.driven_joints)
+    span[~driven] = speed[~driven] = np.inf
     low, high = (
         np.array([edge(samples.in_segments(samples.q), axis=0) for samples in training])
         for edge in (np.min, np.max)
@@ -58,7 +58,6 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
         [np.percentile(speed_samples, COVERAGE_PERCENTILE, axis=0) for speed_samples in speeds],
         axis=0,
     )
-    wider = undesigned(WIDER) if model.n_floating else WIDER
     # Over all recordings together: each may cover a part.
     covered = _measure_range_share(high.max(axis=0) - low.min(axis=0), span)
     reached = _measure_range_share(fast, speed)
@@ -71,7 +70,7 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
             ],
             3,
         )
-        yield Finding("motion_narrow", "info", f"The motion covers {listed}", wider)
+        yield Finding("motion_narrow", "info", f"The motion covers {listed}", WIDER)
     # The median joint: some joints are seldom fast.
     if np.any(np.isfinite(reached)) and np.nanmedian(reached) < COVERAGE_SPEED:
         typical = format_share(float(np.nanmedian(reached)), 0)
@@ -79,7 +78,7 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
             "motion_slow",
             "info",
             f"Joints reach {typical} of their speed limits (median): faster motion is untested",
-            wider,
+            WIDER,
         )
 
 

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.spatial import KDTree
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.free_base import AXES
+from asbuilt.description.structure.parts import Joint
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
-from asbuilt.experiment.free_base.columns import base_rotations
+from asbuilt.identification.calibration.delay import RULES
 from asbuilt.identification.calibration.payload import choose_payload_frame
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.windows import Windows
-from typing import TYPE_CHECKING
-
-from scipy.optimize import minimize_scalar
-from scipy.spatial import KDTree
-
-from asbuilt.identification.calibration.delay import RULES
-
-if TYPE_CHECKING:
-    from asbuilt.identification.trajectories.windows import Windows
-
 
 TURN = 2.0 * np.pi
 """Distance [rad] from the measured position at which a revolute joint counts as diverged."""
@@ -40,7 +33,12 @@ FEWEST = 8
 
 def position_unit(model: RobotModel) -> str:
     """Return the unit of a thousandth of the positions of the joints that have a drive."""
-    kinds = {joint.is_revolute for joint in model.joints[model.n_floating :]}
+    return joint_unit([model.joints[k] for k in model.driven_joints])
+
+
+def joint_unit(joints: Iterable[Joint]) -> str:
+    """Return the unit of a thousandth of the positions of joints."""
+    kinds = {joint.is_revolute for joint in joints}
     return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
 
 
@@ -67,7 +65,7 @@ class RolloutErrors:
     rms_until, rms_all_until
         As `rms` and `rms_all`, over the samples before that time; NaN if there are none.
     unit
-        Of a thousandth of the positions, as `position_unit` has it.
+        Of a thousandth of the positions, as `joint_unit` has it.
     base
         Of a free base: root mean square distance [m] between its measured and simulated places, and
         angle [rad] between its verticals; None of a root that is fixed, or moves in a plane.
@@ -213,6 +211,8 @@ def measure_rollout_errors(
 
 def _measure_base(measured: Sequence[Array], simulated: Sequence[Array]) -> tuple[float, float]:
     """Return the root mean square of distances and tilts between free bases (W, L, n)."""
+    from asbuilt.experiment.free_base.columns import base_rotations  # noqa: PLC0415 - light start
+
     q = [
         np.concatenate([x[:, 1:].reshape(-1, x.shape[2]) for x in y]) for y in (measured, simulated)
     ]

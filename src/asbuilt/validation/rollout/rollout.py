@@ -26,9 +26,9 @@ from asbuilt.validation.rollout.position_errors import (
     drop_lost,
     find_divergence,
     find_outlying_windows,
+    joint_unit,
     measure_rollout_errors,
     pair_repeated_windows,
-    position_unit,
 )
 
 if TYPE_CHECKING:
@@ -357,7 +357,7 @@ def _name_model(name: str) -> str:
 
 def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
-    unit = "mrad or mm" if model.n_floating else position_unit(model)
+    unit = joint_unit(model.joints)
     cad = rollout.cad
     built = rollout.as_built
     errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}

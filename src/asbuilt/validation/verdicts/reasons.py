@@ -302,7 +302,7 @@ def _list_simulation_reasons(
     result: IdentificationResult, simulated: Rollout | None
 ) -> Iterator[Reason]:
     """Yield what speaks against a robot identified from commands in its simulation."""
-    if result.servo is None:
+    if not result.decided_by_motion:
         return
     # Commands without simulated motion are no test of a model.
     if simulated is None:

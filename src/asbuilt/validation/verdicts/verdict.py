@@ -105,7 +105,7 @@ def study_verdict(
     """Return the verdict on a result, by motion that it was not fitted to; without any, untested.
 
     Of several recordings the one with the largest error decides. Where commands stand for torques,
-    which are what the law of the servo makes of them, the simulated motion is measured.
+    which are what a law of the drive makes of them, the simulated motion is measured.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def study_verdict(
         Simulations of the same.
     """
     # Commands are measured by the motion that follows from them.
-    simulated = choose_decisive_rollout(rollouts) if result.servo is not None else None
+    simulated = choose_decisive_rollout(rollouts) if result.decided_by_motion else None
     untested = simulated is None and is_untested(result, findings, validations)
     measure: Measure = "torque" if simulated is None else "rollout"
     joints: tuple[JointUse, ...] = ()

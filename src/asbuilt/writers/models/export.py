@@ -292,7 +292,7 @@ def _write_passive(
     """
     if not nearest.replaced:
         return {}, nearest.notes("MJCF", "C code and the robot file hold everything")
-    if robot.coupling is not None or elastic:
+    if robot.tree is not robot or elastic:
         return {}, nearest.notes("MJCF", "C code and the robot file hold them")
     place = Path(mjcf)
     path = place.with_name(re.sub(r"\W", "_", place.stem) + "_passive.py")

@@ -241,7 +241,7 @@ def describe_rotors(result: IdentificationResult) -> IdentificationResult:
                 "identify from a log with positions of motors and links, q_motor_*, q_link_*"
             ),
         )
-    if result.model.coupling is not None:
+    if result.model.tree is not result.model:
         raise UsageError(
             f"joints of {result.robot} are coupled or in loops; elastic joints are written for"
             " robots whose motors move one joint each"

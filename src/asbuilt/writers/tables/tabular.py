@@ -265,7 +265,8 @@ def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
     try:
         build_robot(result, as_built_parameters(result))
         links = [link.name for link in result.model.links if not link.negligible]
-        total, *masses = feasible_intervals(result, ("mass", *(f"mass:{name}" for name in links)))
+        names = "mass", *(f"mass:{name}" for name in links)
+        total, *masses = feasible_intervals(result, names, explained=False)
     except (IdentifiabilityError, DescriptionError):
         return None
     return ExportedMasses(tuple(masses), total)

@@ -9,7 +9,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.term import Formula
 from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
@@ -51,10 +50,7 @@ class Mechanism:
         self.model = model
         self.code = StraightLine()
         self.tree = model.tree
-        # Without couplings every joint of the tree has a coordinate of its own.
-        self.coupling = model.constant_coupling("C code") or Coupling(
-            np.arange(n), np.eye(n), np.zeros(n)
-        )
+        self.joint_map = model.constant_map("C code")
         self.q, self.qd, self.qdd = (
             [Term(1.0, f"{array}[{j}]") if taken else ZERO for j in range(n)]
             for array, taken in (
@@ -63,7 +59,7 @@ class Mechanism:
                 ("qdd", not (at_rest or steady)),
             )
         )
-        self.link_q = self.of_links(self.q, self.coupling.offset)
+        self.link_q = self.of_links(self.q, self.joint_map.offset)
         self.link_qd = self.of_links(self.qd)
         self.link_qdd = self.of_links(self.qdd)
         self.cosine, self.sine = (
@@ -79,7 +75,7 @@ class Mechanism:
 
     def of_links(self, values: list[Term], offset: float | Array = 0.0) -> list[Term]:
         """Return `E values + offset` at the joints of the tree."""
-        E = self.coupling.matrix
+        E = self.joint_map.matrix
         return [
             self.code.total(*zip(_make_vector(row), values, strict=True), (Term(float(shift)),))
             for row, shift in zip(E, np.broadcast_to(offset, len(E)), strict=True)
@@ -87,11 +83,11 @@ class Mechanism:
 
     def of_joints(self, torques: list[Term]) -> list[Term]:
         """Return `E^T torques` at the joints that have a drive."""
-        return [*self._multiply(_make_matrix(self.coupling.matrix.T), torques)]
+        return [*self._multiply(_make_matrix(self.joint_map.matrix.T), torques)]
 
     def of_tree(self, parameters: Array) -> Array:
         """Return inertial parameters (10 n_links,) in the order of the tree, (n_links, 10)."""
-        return self.coupling.parameters(parameters.reshape(-1, 10))
+        return self.joint_map.parameters(parameters.reshape(-1, 10))
 
     def torques(self, parameters: Array) -> list[Term]:
         """Return the torque of each joint for inertial parameters of shape (10 n_links,)."""
@@ -186,7 +182,7 @@ class Mechanism:
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
         screws = self._derive_screws()
-        place = np.argsort(self.coupling.order)
+        place = np.argsort(self.joint_map.order)
         entries = {}
         for position, column in enumerate(columns):
             link, parameter = divmod(column, 10)

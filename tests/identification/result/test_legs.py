@@ -19,7 +19,7 @@ from asbuilt.identification.result.determination import (
     sample_information,
     weak_parameters,
 )
-from asbuilt.identification.result.leg_advice import standing_posture
+from asbuilt.identification.result.legs import standing_posture
 from asbuilt.workflow import prepare
 
 
@@ -41,7 +41,8 @@ def test_the_gain_of_a_further_motion_is_predicted() -> None:
     other = read_recording(fall, model=model, torque_source="motor")
     noise = prepare(model, [own], chain=chain).training[0].noise
     states = prepare(model, [other], chain=chain).training[0]
-    extra = sample_information(first, states.q, states.qd, states.qdd, states.contact, noise)
+    reactions = replace(states, noise=noise).reactions
+    extra = sample_information(first, states.q, states.qd, states.qdd, reactions)
     weak = weak_parameters(first)
     (expected,) = error_ratios(
         first, known_information(first), weak, [extra * fall["t"].size / 500.0 / LIMITS.seconds]
