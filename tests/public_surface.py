@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,22 @@ def find_lost(before: Surface, now: Surface) -> list[str]:
         for word in words
         if word not in now.get(kind, {}).get(place, [])
     ]
+
+
+def find_last_release(tree: Path = ROOT) -> tuple[str, Surface] | None:
+    """Return the newest tag of a version and its record; None without git, tags or a record."""
+    git = ["git", "-C", str(tree)]
+    newest = ["tag", "--list", "v*", "--sort=-version:refname"]
+    try:
+        tags = subprocess.run([*git, *newest], capture_output=True, text=True, check=True).stdout
+        if not tags:
+            return None
+        tag = tags.split()[0]
+        show = [*git, "show", f"{tag}:tests/{RECORD.name}"]
+        told = subprocess.run(show, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return tag, json.loads(told)
 
 
 if __name__ == "__main__":

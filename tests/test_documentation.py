@@ -270,3 +270,21 @@ def test_examples_in_docstrings_have_a_heading() -> None:
             if callable(each) or isinstance(each, property | classmethod)
         ):
             assert ">>>" not in text.partition("\nExamples\n--------\n")[0], name
+
+
+def test_the_comparison_is_whole_dated_and_cited() -> None:
+    """Each feature has a word for every tool, and each tool a source that was read."""
+    text = (HOUSE / "docs/compare.md").read_text("utf-8")
+    table, sources = text.partition("## The table")[2].split("## Sources")
+    rows = [line.strip("|").split("|") for line in table.splitlines() if line.startswith("|")]
+    tools = [cell.strip() for cell in rows[0][1:]]
+    features = [row for row in rows[2:] if not row[0].strip().startswith("**")]
+    assert len(features) >= 50
+    assert not [row[0] for row in rows if len(row) != len(tools) + 1]
+    assert not [row[0] for row in features if not all(cell.strip() for cell in row)]
+    cited = [line for line in sources.splitlines() if line.startswith("| ")]
+    for tool in tools[1:]:
+        assert any(line.startswith(f"| {tool} ") and "](http" in line for line in cited), tool
+    assert re.search(r"As of \d+ \w+ 20\d\d", text)
+    lacking = [row[0] for row in features if row[1].strip() == "–"]
+    assert len(lacking) >= 5, "what peers have and this tool lacks stands there too"

@@ -99,6 +99,10 @@ class Fit:
     details: dict[str, Any] = field(default_factory=dict)
 
 
+LONGEST = 900
+"""CPU seconds that a tool may take for one problem, of its own process: others may be at work."""
+
+
 def _cpu() -> float:
     own, children = (
         resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
@@ -120,6 +124,7 @@ def main() -> None:
     """Fit, predict, write `answer.json` and `answer_*.npy` into the folder of answers."""
     tool, folder, out = Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
     sys.modules["adapter"] = sys.modules["__main__"]
+    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
     answer: dict[str, Any] = {}
     try:
         module = _load(tool)

@@ -7,6 +7,7 @@ positions in all windows. The error is that of all positions of a test [rad], it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from prepare import Array, Problem, cut_logs, write_facts
 from task import Task
 
 from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
 from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
@@ -35,7 +37,17 @@ def commanded_problem(task: Task, data: Path, folder: Path) -> Problem:
         training, test = cut_logs(task, training)
     gains = {key: task.settings[key] for key in ("kp", "kd") if key in task.settings}
     joints = tuple(replace(each, drive=replace(each.drive, **gains)) for each in model.joints)
-    model = replace(model, joints=joints)
+    return write_commanded(task, replace(model, joints=joints), training, test, folder)
+
+
+def write_commanded(
+    task: Task,
+    model: RobotModel,
+    training: Sequence[Recording],
+    test: Sequence[Recording],
+    folder: Path,
+) -> Problem:
+    """Write logs, windows and the robot as MJCF."""
     (folder / "robot.xml").write_text(export_mjcf(model))
     rate = task.rate or float(round(1.0 / np.median(np.diff(training[0].t)), 3))
     for k, log in enumerate(training):

@@ -46,7 +46,7 @@ def projections(facts: Facts, q: Array, contact: Array) -> Array:
         pin.computeJointJacobians(model, data, place)
         pin.updateFramePlacements(model, data)
         rows = [
-            _at_ground(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED), radius)
+            at_ground(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED), radius)
             for frame, on in zip(frames, closed, strict=True)
             if on > 0.0
         ]
@@ -55,7 +55,7 @@ def projections(facts: Facts, q: Array, contact: Array) -> Array:
     return found
 
 
-def _at_ground(J: Array, radius: float) -> Array:
+def at_ground(J: Array, radius: float) -> Array:
     """Return the Jacobian (3, n) of the point `radius` [m] below a frame, by `v + w x p`."""
     return J[:3] + np.cross(J[3:], [0.0, 0.0, -radius], axisa=0).T
 

@@ -16,7 +16,9 @@ from adapter import Facts
 from flyer import BASE, projections
 from plain import Motion, closed_contacts, logged_motion, low_pass
 from prepare import Array, Problem, write_facts
+from score import relative_error
 from task import Task
+from twin import twin_log
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.torque import choose_usual_drive
@@ -31,6 +33,9 @@ def legged_problem(task: Task, data: Path, folder: Path) -> Problem:
     source = data / task.description
     model = load_robot(source, base="free", contacts=",".join(task.settings["contacts"]))
     log = read_legged_log(data / task.training[0], model.joint_names[model.n_floating :], task)
+    known = None
+    if task.kind == "twin":
+        log, known = twin_log(model, log, source, task.settings)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(source.read_text())
     middle = int(task.settings["trained"] * len(log["t"]))
@@ -55,7 +60,25 @@ def legged_problem(task: Task, data: Path, folder: Path) -> Problem:
         description=str(source.resolve()),
     )
     mass = sum(link.inertia.mass for link in model.links)
-    return Problem(folder, model, (np.array(states.tau),), mass=float(mass))
+    true = () if known is None else (known(states),)
+    return Problem(folder, model, (np.array(states.tau),), mass=float(mass), clean=true)
+
+
+def against_torques(problem: Problem, answer: Array) -> dict[str, Any]:
+    """Return the error of an answer (N, 6 + n), and where it is known that from the true torques.
+
+    These are of the true bodies and drives in the states of the test; `floor` is their own error:
+    what is below it fits errors of the log.
+    """
+    found: dict[str, Any] = {}
+    pairs = [projected_errors(problem, answer)]
+    found["error"], found["per_joint"] = relative_error(pairs, "torque")
+    for true in problem.clean:
+        logged = np.hstack([np.zeros((len(answer), BASE)), problem.hidden[0]])
+        away = [projected_errors(problem, logged + answer - true)]
+        found["true_error"] = relative_error(away, "torque")[0]
+        found["floor"] = relative_error([projected_errors(problem, true)], "torque")[0]
+    return found
 
 
 def read_legged_log(path: Path, joints: Any, task: Task) -> dict[str, Array]:

@@ -28,6 +28,7 @@ FEW = 0.005
 KINDS = {
     "torque": "Torque on another motion",
     "legs": "Legs on the ground",
+    "twin": "Legs on the ground, with a known truth",
     "payload": "Payload of known mass",
     "ratio": "Two weights of known ratio",
     "command": "Command without torque",
@@ -35,7 +36,10 @@ KINDS = {
     "virtual": "Virtual robots with known truth",
 }
 
+COMPARED = {"halves": "z_rms", "twin": "true_error"}
+"""What tools are compared by where it is not the error on the test."""
 AXES = {
+    "twin": "error from the true torque [%]",
     "payload": "error of the mass [%]",
     "ratio": "error of the ratio [%]",
     "command": "position error in windows of the test [mrad]",
@@ -66,6 +70,7 @@ def page_text(path: Path = RESULTS) -> str:
         own = {name: task for name, task in shown.items() if task.kind == kind}
         if own:
             parts.append(f"## {title}\n\n{_kind_table(kind, own, results)}")
+            parts += [_floor_text(task, results) for task in own if kind == "twin"]
             parts.append(_standing(kind, own, results))
     parts.append(f"## What else counts\n\n{_tool_table(shown, results)}")
     parts.append(f"## The tasks\n\n{_task_sections(shown, results)}")
@@ -75,7 +80,7 @@ def page_text(path: Path = RESULTS) -> str:
 
 def value_of(kind: str, row: Row | None) -> float | None:
     """Return the number by which the tools of a kind of task are compared."""
-    return None if row is None else row.get("z_rms" if kind == "halves" else "error")
+    return None if row is None else row.get(COMPARED.get(kind, "error"))
 
 
 def cell(kind: str, row: Row | None, best: float | None) -> str:
@@ -87,6 +92,8 @@ def cell(kind: str, row: Row | None, best: float | None) -> str:
         text = f"{100 * row['coverage']:.0f} % (z {value:.1f})"
     else:
         text = shown(kind, value)
+        if kind == "twin":
+            text += f"<br>score {shown(kind, row['error'])}"
         if kind == "virtual":
             covered = row.get("coverage")
             text += "" if covered is None else f"<br>{100 * covered:.0f} % hold"
@@ -126,6 +133,21 @@ def _kind_table(kind: str, own: dict[str, Task], results: dict[tuple[str, str], 
         cells = " | ".join(cell(kind, row, best) for row in rows)
         lines.append(f"| [{task}](#{task}) | {cells} |")
     return "\n".join(lines)
+
+
+def _floor_text(task: str, results: dict[tuple[str, str], Row]) -> str:
+    """Say what the true torques score, and who fits errors of the log."""
+    rows = {name: row for name in tools() if (row := results.get((task, name), {})).get("floor")}
+    if not rows:
+        return ""
+    floor = next(iter(rows.values()))["floor"]
+    below = [name for name, row in rows.items() if row["error"] < floor]
+    text = (
+        f"By the score of the recorded log, the true torques of {task} have {shown('twin', floor)}"
+    )
+    if below:
+        text += f"; what is below fits errors of the log: {', '.join(below)}"
+    return text + "."
 
 
 def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:

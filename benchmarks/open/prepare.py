@@ -39,7 +39,8 @@ class Problem:
     """A prepared task: its folder, the robot, the hidden torques and, where known, the truth.
 
     `hidden` holds for each test the torque as logged (N, n) on the grid of its states. `truth` are
-    standard parameters by name.
+    standard parameters by name, `clean` the torques of a
+    true robot with a free base in the states of a test (N, 6 + n).
     """
 
     folder: Path
@@ -47,6 +48,7 @@ class Problem:
     hidden: tuple[Array, ...]
     truth: dict[str, float] | None = None
     mass: float | None = None
+    clean: tuple[Array, ...] = ()
 
 
 def read_task_logs(
@@ -148,7 +150,7 @@ def write_problem(
         states = plain_motion(log.t, log.q, None, rate, task.cutoff)
         np.savez(folder / f"test_{k}.npz", t=states.t, q=states.q, qd=states.qd, qdd=states.qdd)
         hidden.append(uniform(log.t, log.tau, states.t))
-    coupling = model.coupling
+    coupling = model.joint_map
     source = training[0].torque_source
     write_facts(
         task,

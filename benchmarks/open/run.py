@@ -4,6 +4,7 @@
     python benchmarks/open/run.py --install             # environments of the tools first
     python benchmarks/open/run.py --data DIR --download # fetch data, digests checked
     python benchmarks/open/run.py --task lwr4 --tool asbuilt --tool wls
+    python benchmarks/open/run.py --resume              # what an interrupted run left to do
 
 Prints one JSON line for each task and tool, adds it to the file of results at once, the numbers
 of each robot in `robots/` beside it, and writes the page from that file.
@@ -13,21 +14,24 @@ from __future__ import annotations
 
 import argparse
 import fcntl
+import hashlib
 import json
 import os
-import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from adapter import LONGEST
+from bench import bench_problem
 from commanded import commanded_problem, rollout_errors
-from legged import legged_problem, projected_errors
-from page import write_page
+from legged import against_torques, legged_problem
+from page import read_results, write_page
 from plain import Motion
 from prepare import Problem, halves, read_task_logs, write_problem
 from score import (
@@ -43,12 +47,18 @@ from task import DOWNLOADED, HERE, RESULTS, SHARED, Task, download, tasks
 from tool import Tool, tools
 from virtual import virtual_problems
 
-SPECIAL = {"legs": legged_problem, "command": commanded_problem}
+import asbuilt
+
+SPECIAL = {"legs": legged_problem, "twin": legged_problem, "command": commanded_problem}
 """Kinds of task with a log that is no arm's with torques."""
 ABSENT = "not installed; run with --install"
 """Note of a row that is printed, but takes the place of no other."""
-LONGEST = 900.0
-"""Seconds that a tool may take for one task."""
+PATIENCE = 6.0
+"""How long a tool is waited for in its CPU seconds: a machine may have other work."""
+AHEAD = 3
+"""Rows in work or waiting, for each core, beyond which no further task is prepared."""
+PAGES = ("page.py", "pages.py", "shown.py")
+"""Modules that no row rests on."""
 
 
 def answered(tool: Tool, problem: Problem, folder: Path) -> dict[str, Any]:
@@ -63,11 +73,15 @@ def answered(tool: Tool, problem: Problem, folder: Path) -> dict[str, Any]:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH" or not tool.requires}
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     command = [tool.python, HERE / "adapter.py", tool.path, problem.folder.resolve(), out]
-    settings: dict[str, Any] = {"timeout": LONGEST, "capture_output": True, "text": True}
+    settings: dict[str, Any] = {"timeout": PATIENCE * LONGEST, "capture_output": True, "text": True}
     try:
         done = subprocess.run(command, env=environment | one, check=False, **settings)
     except subprocess.TimeoutExpired:
-        return {"cannot": f"took more than {LONGEST:.0f} s"}
+        return {"cannot": f"hung for {PATIENCE * LONGEST:.0f} s"}
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return {"cannot": f"took more than {LONGEST} s"}
+    if done.returncode in (-signal.SIGTERM, -signal.SIGINT):
+        raise InterruptedError(f"{tool.name} was ended from outside: --resume goes on from here")
     written = out / "answer.json"
     if not written.exists():
         return {"failed": f"it stopped with exit code {done.returncode} and no answer"}
@@ -89,10 +103,10 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
     if task.kind == "command":
         found["per_motion"] = rollout_errors(problems[0], answers[0]["torques"])
         return found | {"error": float(np.mean(found["per_motion"]))}
-    if task.kind == "legs":
-        pairs = [projected_errors(problems[0], answers[0]["torques"][0])]
-    else:
-        pairs = [
+    pairs = (
+        []
+        if task.kind in ("legs", "twin")
+        else [
             torque_errors(
                 _states(problem, k),
                 hidden,
@@ -104,6 +118,9 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
             for problem, answer in zip(problems, answers, strict=True)
             for k, hidden in enumerate(problem.hidden)
         ]
+    )
+    if task.kind in ("legs", "twin"):
+        found |= against_torques(problems[0], answers[0]["torques"][0])
     if task.kind == "ratio":
         moments, true = answers[0]["parameters"], task.settings["ratio"]
         half = len(moments) // 2
@@ -113,10 +130,14 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
         found["note"] = f"{ratio:.3g} +- {spread:.2g} for {true:.3g}"
         return found
     if task.kind == "payload":
-        weighed, mass = answers[0]["parameters"][0], task.settings["mass"]
-        found["error"] = abs(weighed["value"] / mass - 1.0)
-        found |= coverage(np.array([(weighed["value"] - mass) / weighed["error"]]))
-        found["note"] = f"{weighed['value']:.3g} +- {weighed['error']:.2g} kg for {mass:g} kg"
+        mass = task.settings["mass"]
+        values, spread = (
+            np.array([each["parameters"][0][key] for each in answers]) for key in ("value", "error")
+        )
+        found["error"] = float(np.sqrt(np.mean((values / mass - 1.0) ** 2)))
+        found |= coverage((values - mass) / spread)
+        weighed = ", ".join(f"{v:.3g} +- {s:.2g}" for v, s in zip(values, spread, strict=True))
+        found["note"] = f"{weighed} kg for {mass:g} kg"
         return found
     if task.kind == "virtual":  # robots of different size: the mean of their errors
         found["error"] = float(np.mean([relative_error([each], task.norm)[0] for each in pairs]))
@@ -158,7 +179,9 @@ def _rate(problem: Problem) -> float:
 
 def problems_of(task: Task, data: Path, scratch: Path) -> list[Problem]:
     """Return the prepared problems of a task: one, two halves, or one for each virtual robot."""
-    if task.kind == "virtual":
+    if "pendulum" in task.settings:
+        return [bench_problem(task, scratch / "part_0")]
+    if "robots" in task.settings:
         return virtual_problems(task, scratch)
     if task.kind in SPECIAL:
         return [SPECIAL[task.kind](task, data, scratch / "part_0")]
@@ -173,16 +196,34 @@ def problems_of(task: Task, data: Path, scratch: Path) -> list[Problem]:
 
 
 def rows(
-    task: Task, chosen: dict[str, Tool], data: Path, jobs: int = 1
+    wanted: list[tuple[Task, list[Tool]]],
+    data: Path,
+    jobs: int,
+    took: dict[tuple[str, str], float],
 ) -> Iterator[dict[str, Any]]:
-    """Yield one row for each tool; `jobs` tools run at a time, each on one core."""
-    scratch = Path(tempfile.mkdtemp(prefix="asbuilt_open_"))
-    try:
-        problems = problems_of(task, data, scratch)
-        with ThreadPoolExecutor(jobs) as pool:
-            yield from pool.map(lambda tool: row(task, tool, problems, scratch), chosen.values())
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    """Yield one row for each task and tool as it comes; `jobs` tools run at a time, each on a core.
+
+    What took longest [CPU s] goes first, so that no core waits for the other at the end. The next
+    task is prepared while the tools work on those before.
+    """
+
+    def cost(task: Task, *tools: Tool) -> float:
+        return sum(took.get((task.name, tool.name), 0.0) for tool in tools)
+
+    running: set[Future[dict[str, Any]]] = set()
+    with (
+        tempfile.TemporaryDirectory(prefix="asbuilt_open_") as scratch,
+        ThreadPoolExecutor(jobs) as pool,
+    ):
+        for task, own in sorted(wanted, key=lambda each: -cost(each[0], *each[1])):
+            folder = Path(scratch) / task.name
+            problems = problems_of(task, data, folder)
+            for tool in sorted(own, key=lambda each: -cost(task, each)):
+                running.add(pool.submit(row, task, tool, problems, folder))
+            while len(running) > AHEAD * jobs:
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                yield from (each.result() for each in done)
+        yield from (each.result() for each in as_completed(running))
 
 
 def row(task: Task, tool: Tool, problems: list[Problem], scratch: Path) -> dict[str, Any]:
@@ -190,7 +231,7 @@ def row(task: Task, tool: Tool, problems: list[Problem], scratch: Path) -> dict[
     head = {"task": task.name, "tool": tool.name}
     reason = task.skips.get(tool.name)
     if reason is not None:
-        return head | {"note": reason}
+        return head | {"note": reason, "code": code_of(task, tool)}
     answers = [answered(tool, each, scratch) for each in problems]
     found = scored(task, problems, answers)
     return head | {
@@ -199,20 +240,35 @@ def row(task: Task, tool: Tool, problems: list[Problem], scratch: Path) -> dict[
         **found,
         "lines": tool.lines,
         "date": datetime.now(tz=UTC).date().isoformat(),
+        "code": code_of(task, tool),
     }
 
 
 def store(row: dict[str, Any], path: Path) -> None:
-    """Put a row into the file of results in place of an older one of its task and tool."""
+    """Put a row into the file of results in place of an older one of its task and tool.
+
+    Several runs may write at a time, and one that is killed leaves the file as it was.
+    """
     own = row["task"], row["tool"]
-    with path.open("a+") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # several runs may write at a time
-        file.seek(0)
-        lines = [line for line in file.read().splitlines() if line]
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        lines = path.read_text().splitlines() if path.exists() else []
         kept = [line for line in lines if ((old := json.loads(line))["task"], old["tool"]) != own]
-        file.seek(0)
-        file.truncate()
-        file.write("\n".join(sorted([*kept, json.dumps(_rounded(row))])) + "\n")
+        written = path.with_suffix(".part")
+        written.write_text("\n".join(sorted([*kept, json.dumps(_rounded(row))])) + "\n")
+        written.replace(path)
+    finally:
+        os.close(folder)
+
+
+def code_of(task: Task, tool: Tool) -> str:
+    """Return a digest of what a row rests on: task, adapter, runner, and of asbuilt its source."""
+    read = [HERE / "tasks" / f"{task.name}.toml", tool.path]
+    read += [path for path in sorted(HERE.glob("*.py")) if path.name not in PAGES]
+    if tool.name == "asbuilt":
+        read += sorted(Path(asbuilt.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in read)).hexdigest()[:12]
 
 
 def _rounded(value: Any, digits: int = 5) -> Any:
@@ -234,6 +290,7 @@ def main() -> None:
     parser.add_argument("--task", action="append", choices=list(tasks()), default=[])
     parser.add_argument("--tool", action="append", choices=list(tools()), default=[])
     parser.add_argument("--install", action="store_true", help="make the tools' environments")
+    parser.add_argument("--resume", action="store_true", help="leave out rows of the same code")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="tools at a time")
     parser.add_argument("--results", type=Path, default=RESULTS, help="file of results")
     parser.add_argument("--no-page", action="store_true", help="write no page")
@@ -244,6 +301,8 @@ def main() -> None:
             if tool.requires and "*" not in tool.cannot:
                 tool.install()
     data = arguments.data or (DOWNLOADED if arguments.download else SHARED)
+    known = read_results(arguments.results) if arguments.results.exists() else {}
+    wanted: list[tuple[Task, list[Tool]]] = []
     for name in arguments.task or list(tasks()):
         task = tasks()[name]
         problems = download(task, data) if arguments.download else []
@@ -254,15 +313,25 @@ def main() -> None:
                 reason = f"the digest of {', '.join(damaged)} differs from that of the task"
             print(json.dumps({"task": name, "tool": None, "note": reason}), flush=True)
             continue
-        for found in rows(task, chosen, data, arguments.jobs):
-            details = found.pop("details", None)
-            print(json.dumps(_rounded(found)), flush=True)
-            if details:
-                robots = arguments.results.parent / "robots"
-                robots.mkdir(exist_ok=True)
-                (robots / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
-            if found["note"] != ABSENT:
-                store(found, arguments.results)
+        left = [
+            tool
+            for tool in chosen.values()
+            if not arguments.resume
+            or known.get((name, tool.name), {}).get("code") != code_of(task, tool)
+        ]
+        if left:
+            wanted.append((task, left))
+    took = {key: each.get("cpu_seconds") or 0.0 for key, each in known.items()}
+    for found in rows(wanted, data, arguments.jobs, took):
+        details = found.pop("details", None)
+        print(json.dumps(_rounded(found)), flush=True)
+        if details:
+            robots = arguments.results.parent / "robots"
+            robots.mkdir(exist_ok=True)
+            text = json.dumps(_rounded(details, 9)) + "\n"
+            (robots / f"{found['task']}.json").write_text(text)
+        if found["note"] != ABSENT:
+            store(found, arguments.results)
     if not arguments.no_page:
         write_page(arguments.results)
 

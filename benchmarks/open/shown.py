@@ -11,8 +11,6 @@ than a block shows, that line is named and left as it is.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import json
 import os
 import re
@@ -21,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -189,12 +188,15 @@ def feasible_table(name: str, command: dict[str, Any]) -> str:
 def run_commands(name: str, command: dict[str, Any], folder: Path) -> str:
     """Return what the lines of a command print, each below its `$`, in a folder."""
     lines = command.get("lines") or page_commands(HOUSE / command["pages"][0])
+    environment = os.environ | {"COLUMNS": "80", "PYTHONPATH": str(HOUSE / "src")}
     out = []
     for line in lines:
+        words = shlex.split(line.format(data=SHARED))
+        started = ["-m", "asbuilt"] if words[0] == "asbuilt" else [str(HOUSE / words.pop(1))]
         done = subprocess.run(
-            [sys.executable, "-m", "asbuilt", *shlex.split(line.format(data=SHARED))[1:]],
+            [sys.executable, *started, *words[1:]],
             cwd=folder,
-            env=os.environ | {"COLUMNS": "80", "PYTHONPATH": str(HOUSE / "src")},
+            env=environment,
             capture_output=True,
             text=True,
             check=False,
@@ -203,19 +205,17 @@ def run_commands(name: str, command: dict[str, Any], folder: Path) -> str:
             raise RuntimeError(f"{name}: {line} ended with {done.returncode}:\n{done.stderr}")
         out += [f"$ {line}", done.stdout.replace(f"{SHARED}/", "")]
     for block in python_blocks(HOUSE / command["pages"][0]) if command.get("python") else []:
-        out.append(_printed_by(block, folder))
+        out.append(
+            subprocess.run(
+                [sys.executable, "-c", block],
+                cwd=folder,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+        )
     return "\n".join(out)
-
-
-def _printed_by(block: str, folder: Path) -> str:
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        with contextlib.redirect_stdout(io.StringIO()) as out:
-            exec(compile(block, "page", "exec"), {})
-    finally:
-        os.chdir(before)
-    return out.getvalue()
 
 
 def page_commands(page: Path) -> list[str]:
@@ -233,23 +233,38 @@ def python_blocks(page: Path) -> list[str]:
 
 
 def keep_prints(quotes: Quotes, names: list[str]) -> None:
-    """Run the commands and keep what they print; those of one `folder` see each other's files."""
+    """Run the commands and keep what they print; those of one `folder` see each other's files.
+
+    Folders run side by side, those of most commands first.
+    """
     PRINTS.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory() as scratch:
-        for name, command in quotes.commands.items():
-            if names and name not in names and command.get("folder") not in names:
-                continue
-            if any(not (SHARED / each).exists() for each in command.get("needs", [])):
-                print(f"{name}: {SHARED} lacks {', '.join(command['needs'])}; its print stays")
-                continue
-            folder = Path(scratch) / command.get("folder", name)
-            folder.mkdir(exist_ok=True)
-            text = run_commands(name, command, folder)
-            (PRINTS / f"{name}.txt").write_text(tidied(text), encoding="utf-8")
-            if "truth" in command:
-                masses = true_masses(folder / "log_truth.json", folder / "log_robot.toml")
-                (PRINTS / command["truth"]).write_text(json.dumps(masses) + "\n", encoding="utf-8")
-            print(f"{name}: {len(text.splitlines())} lines", flush=True)
+    folders: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, command in quotes.commands.items():
+        if names and name not in names and command.get("folder") not in names:
+            continue
+        if any(not (SHARED / each).exists() for each in command.get("needs", [])):
+            print(f"{name}: {SHARED} lacks {', '.join(command['needs'])}; its print stays")
+            continue
+        folders.setdefault(command.get("folder", name), {})[name] = command
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
+        work = [
+            pool.submit(keep_folder, own, Path(scratch) / folder)
+            for folder, own in sorted(folders.items(), key=lambda each: -len(each[1]))
+        ]
+        for each in work:
+            each.result()
+
+
+def keep_folder(commands: dict[str, dict[str, Any]], folder: Path) -> None:
+    """Run commands one after the other in a folder, and keep what each prints."""
+    folder.mkdir()
+    for name, command in commands.items():
+        text = run_commands(name, command, folder)
+        (PRINTS / f"{name}.txt").write_text(tidied(text), encoding="utf-8")
+        if "truth" in command:
+            masses = true_masses(folder / "log_truth.json", folder / "log_robot.toml")
+            (PRINTS / command["truth"]).write_text(json.dumps(masses) + "\n", encoding="utf-8")
+        print(f"{name}: {len(text.splitlines())} lines", flush=True)
 
 
 def tidied(text: str) -> str:

@@ -20,7 +20,7 @@ SHARED = HERE.parents[2] / "shared"
 DOWNLOADED = HERE / ".data"
 RESULTS = HERE / "results.jsonl"
 
-Kind = Literal["torque", "legs", "halves", "virtual", "payload", "ratio", "command"]
+Kind = Literal["torque", "legs", "twin", "halves", "virtual", "payload", "ratio", "command"]
 Norm = Literal["torque", "joints", "limits"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
 import subprocess
 import sys
@@ -45,12 +46,25 @@ class Tool:
         """Make its environment."""
         folder = ENVIRONMENTS / self.name
         if not (folder / "bin" / "python").exists():
-            own = shutil.which(f"python{self.interpreter}") if self.interpreter else sys.executable
+            own = interpreter(self.interpreter) if self.interpreter else sys.executable
             if own is None:
                 print(f"{self.name} needs python{self.interpreter}, which is not here")
                 return
             subprocess.run([own, "-m", "venv", str(folder)], check=True)
         subprocess.run([self.python, "-m", "pip", "install", "-q", *self.requires], check=True)
+
+
+def interpreter(version: str) -> str | None:
+    """Return the first Python of a version on the path that runs: a shim may know none."""
+    name = f"python{version}"
+    for folder in os.get_exec_path():
+        found = shutil.which(name, path=folder)
+        if (
+            found
+            and not subprocess.run([found, "-c", ""], capture_output=True, check=False).returncode
+        ):
+            return found
+    return None
 
 
 def tools() -> dict[str, Tool]:

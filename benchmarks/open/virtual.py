@@ -2,7 +2,8 @@
 
 A robot is drawn from a seed: bodies a few percent off the description, friction and rotors, and
 with `built` what real robots have and descriptions lack: a base that is not level, a torque that
-is logged late, a spring. Logs have encoder counts and noise that is half white, half slow.
+is logged late, a spring. Logs have encoder counts and noise that is half white, half slow. A
+payload is a ball at the flange; the same motion is logged without and with it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from loops import ClosedChains
 from prepare import Array, Problem, loops_of, write_problem
 from task import HERE, Task
 
+from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
@@ -26,7 +28,7 @@ from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.writers.models.urdf import format_urdf
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from outside_robot import OutsideRobot, Sensors, other_bodies
+from outside_robot import OutsideRobot, Sensors, other_bodies, with_body
 
 SECONDS, TEST_SECONDS, RATE, HARMONICS = 30.0, 15.0, 100.0, 9
 FRICTION = 0.03
@@ -35,6 +37,10 @@ NOISE = 0.004
 """Noise of the torque over its limit."""
 TILT, LATE, SPRING = 2.0, 0.004, 0.02
 """Base [deg], delay of the torque [s], torque of the spring over its limit per rad."""
+GAIN = 0.05
+"""Error of the torque constants of a robot that is weighed with: what makers state of theirs."""
+BALL, REACH = 0.06, (0.0, 0.0, 0.08)
+"""Radius of a payload and its centre in the frame of the last link [m]."""
 
 
 def virtual_problems(task: Task, folder: Path) -> list[Problem]:
@@ -55,6 +61,13 @@ def _problem(task: Task, name: str, seed: int, folder: Path) -> Problem:
     limits = np.array([joint.limits.torque for joint in cad.joints])
     sensors = Sensors(NOISE * limits, turns=(True,) * cad.n_joints, white=0.5)
     logs = []
+    if "mass" in task.settings:
+        gains = {k: 1.0 + GAIN * rng.normal() for k in range(cad.n_joints)}
+        robot = replace(robot, gain=gains)
+        motion = random_fourier(cad, rng=rng, duration=SECONDS, n_harmonics=HARMONICS)
+        for each in (robot, carrying(robot, task.settings["mass"])):
+            logs.append(each.log(motion, sensors, RATE, rng, torque_source="motor"))
+        return write_problem(task, cad, logs[:1], logs[1:], folder)
     for seconds, source in ((SECONDS, "training"), (TEST_SECONDS, "test")):
         motion = random_fourier(cad, rng=rng, duration=seconds, n_harmonics=HARMONICS)
         logs.append(robot.log(motion, sensors, RATE, rng, source=source, torque_source="sensor"))
@@ -62,6 +75,12 @@ def _problem(task: Task, name: str, seed: int, folder: Path) -> Problem:
     truth = dict(zip(parameter_names(cad, drive), robot.true_parameters().tolist(), strict=True))
     own = str(described) if closed else ""
     return write_problem(task, cad, logs[:1], logs[1:], folder, truth, own)
+
+
+def carrying(robot: OutsideRobot, mass: float) -> OutsideRobot:
+    """Return a robot with a ball at its flange."""
+    ball = LinkInertia.from_com(mass, REACH, 0.4 * mass * BALL**2 * np.eye(3))
+    return replace(robot, bodies=with_body(robot.bodies, len(robot.bodies.links) - 1, ball))
 
 
 @dataclass(frozen=True)

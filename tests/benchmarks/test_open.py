@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,14 +19,15 @@ pin = pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
 from adapter import Facts  # noqa: E402
+from bench import Servo  # noqa: E402
 from commanded import windows_of  # noqa: E402
 from flyer import BASE, Flyer, described, flyer_model, projections  # noqa: E402
-from legged import legged_problem  # noqa: E402
+from legged import against_torques, legged_problem, read_legged_log  # noqa: E402
 from loops import ClosedChains  # noqa: E402
 from page import best_of, cell, read_results  # noqa: E402
 from pinocchio_regressor import tree_regressor  # noqa: E402
 from plain import Motion, closed_contacts, low_pass  # noqa: E402
-from prepare import cut_logs  # noqa: E402
+from prepare import Problem, cut_logs  # noqa: E402
 from regression import INERTIAL, Regression  # noqa: E402
 from score import (  # noqa: E402
     against_truth,
@@ -35,13 +38,20 @@ from score import (  # noqa: E402
     weight_ratio,
 )
 from task import RESULTS, sha256, tasks  # noqa: E402
-from tool import tools  # noqa: E402
+from tool import interpreter, tools  # noqa: E402
+from twin import CYCLE, ERROR, REPEATED, Twin, errors  # noqa: E402
 from virtual import closed_facts, virtual_problems  # noqa: E402
 
 from asbuilt import Recording, load_robot  # noqa: E402
 from asbuilt.dynamics import inverse_dynamics  # noqa: E402
 from asbuilt.excitation import random_fourier  # noqa: E402
 from asbuilt.experiment import VirtualRobot, check_recording  # noqa: E402
+
+_spec = importlib.util.spec_from_file_location("open_run", OPEN / "run.py")
+assert _spec is not None
+assert _spec.loader is not None
+runner = importlib.util.module_from_spec(_spec)  # `run` is the name of another one
+_spec.loader.exec_module(runner)
 
 
 @pytest.mark.parametrize("name", tasks())
@@ -299,3 +309,166 @@ def test_checks_of_a_closed_chain_try_no_posture_out_of_reach() -> None:
     motion = random_fourier(model, rng=np.random.default_rng(1), duration=12.0)
     log = VirtualRobot.preset("lab", model, rng=1).record(motion, rng=1, rate=100.0).recording
     assert not [each for each in check_recording(model, log).findings if each.severity == "error"]
+
+
+def test_a_row_takes_the_place_of_its_own_and_is_written_whole(tmp_path: Path) -> None:
+    """Of many writers at a time every row stays, and no part of a file is left."""
+    path = tmp_path / "results.jsonl"
+    names = [f"tool{k}" for k in range(40)]
+    with ThreadPoolExecutor(8) as pool:
+        for error in (0.2, 0.1):
+            list(
+                pool.map(
+                    lambda n, e=error: runner.store({"task": "t", "tool": n, "error": e}, path),
+                    names,
+                )
+            )
+    found = read_results(path)
+    assert sorted(tool for _, tool in found) == sorted(names)
+    assert {row["error"] for row in found.values()} == {0.1}
+    assert [each.name for each in tmp_path.iterdir()] == ["results.jsonl"]
+
+
+def test_a_row_is_of_its_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What an interrupted run has measured is of the same digest, until its adapter changes."""
+    task, tool = tasks()["lwr4"], tools()["wls"]
+    assert runner.code_of(task, tool) == runner.code_of(task, tool)
+    assert runner.code_of(task, tool) != runner.code_of(tasks()["med7"], tool)
+    other = tmp_path / "wls.py"
+    other.write_text(tool.path.read_text() + "\n")
+    assert runner.code_of(task, replace(tool, path=other)) != runner.code_of(task, tool)
+
+
+def test_a_tool_that_was_ended_from_outside_leaves_no_row(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its old row stays, and the run ends."""
+    adapter = tmp_path / "wls.py"
+    adapter.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGTERM)\n")
+    (tmp_path / "facts.json").write_text(json.dumps(dict.fromkeys(("a",), 1)))
+    tool = replace(tools()["asbuilt"], path=adapter)
+    problem = Problem(tmp_path, load_robot("two-link"), ())
+    with pytest.raises(InterruptedError, match="--resume"):
+        runner.answered(tool, problem, tmp_path)
+
+
+def test_a_python_is_one_that_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for folder, status in (("shim", 127), ("real", 0)):
+        path = tmp_path / folder / "python9.9"
+        path.parent.mkdir()
+        path.write_text(f"#!/bin/sh\nexit {status}\n")
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}/shim:{tmp_path}/real")
+    assert interpreter("9.9") == str(tmp_path / "real" / "python9.9")
+    assert interpreter("9.8") is None
+
+
+def test_what_took_longest_is_measured_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "problems_of", lambda task, data, folder: [])
+    monkeypatch.setattr(
+        runner, "row", lambda task, tool, *_: {"task": task.name, "tool": tool.name}
+    )
+    known = [
+        (tasks()[name], [tools()[each] for each in ("cad", "wls")]) for name in ("lwr4", "med7")
+    ]
+    took = {("lwr4", "wls"): 1.0, ("med7", "wls"): 5.0, ("med7", "cad"): 9.0}
+    found = [(each["task"], each["tool"]) for each in runner.rows(known, Path(), 1, took)]
+    assert sorted(found) == sorted((task.name, tool.name) for task, own in known for tool in own)
+    assert found[0] == ("med7", "cad")
+
+
+@pytest.fixture(scope="module")
+def twin(shared: Path, tmp_path_factory: pytest.TempPathFactory):
+    """The twin of Solo12: its problem and facts."""
+    folder = tmp_path_factory.mktemp("twin")
+    problem = legged_problem(tasks()["solo12-twin"], shared, folder)
+    facts = json.loads((folder / "facts.json").read_text())
+    return problem, Facts(folder=folder, **facts)
+
+
+def test_feet_alone_hold_the_twin(shared: Path, tmp_path: Path) -> None:
+    """Forces at closed feet give what the base needs: no row of the projected torque is left."""
+    task = tasks()["solo12-twin"]
+    source, feet = shared / task.description, task.settings["contacts"]
+    robot = load_robot(source, base="free", contacts=",".join(feet))
+    whole = read_legged_log(shared / task.training[0], robot.joint_names[robot.n_floating :], task)
+    log = {key: x[::40] for key, x in whole.items()}
+    model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
+    still = Twin.draw(robot, 12, np.random.default_rng(3))
+    bare = replace(
+        still, **{key: np.zeros(12) for key in ("coulomb", "viscous", "armature", "offset")}
+    )
+    qdd, tau = bare.torque(model, log, feet, task.settings["radius"])
+    for k, row in enumerate(bare.bodies):
+        Ixx, Ixy, Ixz, Iyy, Iyz, Izz, mx, my, mz, m = row
+        own = np.array([m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz])
+        model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(own)
+    data = model.createData()
+    (tmp_path / "robot.urdf").write_text(source.read_text())
+    told = {"joints": list(robot.joint_names[robot.n_floating :]), "gravity": [0.0, 0.0, -9.81]}
+    empty = {key: [] for key in ("tree_joints", "tree_links", "training", "test")}
+    facts = Facts(
+        folder=tmp_path,
+        cutoff=task.cutoff,
+        rate=100.0,
+        torque_source="motor",
+        contacts=feet,
+        settings=task.settings,
+        **told,
+        **empty,
+    )
+    P = projections(facts, log["q"], log["contact"])
+    load = np.array([pin.rnea(model, data, *x) for x in zip(log["q"], log["qd"], qdd, strict=True)])
+    driven = np.hstack([np.zeros((len(tau), BASE)), tau])
+    left = np.einsum("tij,tj->ti", P, load - driven)
+    assert np.abs(left).max() < 1e-9 * np.abs(load).max()
+    change = (qdd - log["qdd"])[:, :BASE]
+    assert np.linalg.norm(change) < 0.03 * np.linalg.norm(log["qdd"][:, :BASE])
+    assert np.array_equal(qdd[:, BASE:], log["qdd"][:, BASE:])
+
+
+def test_the_truth_of_the_twin_leaves_what_was_added(twin) -> None:
+    """The true torques score the errors of the log, and none from themselves."""
+    problem, _ = twin
+    found = against_torques(problem, problem.clean[0])
+    assert found["true_error"] < 1e-12
+    assert found["error"] == found["floor"]
+    assert 0.005 < found["floor"] < 0.03
+
+
+def test_errors_of_the_twin_come_again_as_far_as_they_say() -> None:
+    """Over a whole cycle the correlation is the share that repeats."""
+    t = np.arange(0.0, 100.0, 0.01)
+    tau = np.tile([1.0, 3.0], (len(t), 1))
+    e = errors(t, tau, np.random.default_rng(1))
+    lag = round(CYCLE / 0.01)
+    again = np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
+    assert np.sqrt(np.mean(e**2, axis=0)) == pytest.approx(ERROR * tau[0], rel=0.35)
+    assert again == pytest.approx(REPEATED, abs=0.25)
+
+
+def test_a_servo_rests_where_friction_holds_it() -> None:
+    """Torque of the motor and weight differ by less than the friction at rest of that load."""
+    pendulum = tasks()["virtual-servo"].settings["pendulum"]
+    servo = Servo()
+    for goal in (-1.0, 0.4, 1.2):
+        q = servo.moved(np.r_[np.linspace(0.0, goal, 40), np.full(160, goal)], pendulum)
+        assert np.ptp(q[-30:]) < 1e-6
+        rest = float(q[-1])
+        motor = servo.kt / servo.resistance * pendulum["vin"] * pendulum["gain"] * (goal - rest)
+        length = pendulum["length"]
+        weight = (pendulum["load"] + pendulum["arm"] / 2) * 9.80665 * length * np.sin(rest)
+        held = servo.friction + servo.at_rest + servo.load_share * abs(motor + weight)
+        assert abs(motor - weight) <= held * (1.0 + 1e-9)
+
+
+def test_a_servo_without_friction_swings_as_its_inertia_says() -> None:
+    """A motor without torque: small swings of a pendulum with the rotor's inertia."""
+    pendulum = tasks()["virtual-servo"].settings["pendulum"] | {"vin": 0.0}
+    free = Servo(friction=0.0, at_rest=0.0, load_share=0.0, viscous=0.0, kt=1e-9)
+    q = free.moved(np.full(300, 0.05), pendulum)
+    length, arm = pendulum["length"], pendulum["arm"]
+    inertia = free.rotor + (pendulum["load"] + arm / 3) * length**2
+    stiffness = (pendulum["load"] + arm / 2) * 9.80665 * length
+    t = np.arange(len(q)) / 100.0
+    assert q == pytest.approx(0.05 * np.cos(np.sqrt(stiffness / inertia) * t), abs=2e-4)

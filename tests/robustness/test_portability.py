@@ -25,6 +25,18 @@ del os.sched_getaffinity, os.sysconf  # macOS has not the first, Windows neither
 from asbuilt.cli import main
 main(sys.argv[1:])
 """
+WITHOUT_FORK = """
+import os
+del os.fork, os.forkpty, os.register_at_fork
+from asbuilt.executor import open_workers, run_in_order
+
+def double(number):
+    return 2 * number
+
+if __name__ == "__main__":
+    with open_workers(2) as workers:
+        print(run_in_order(double, [1, 2, 3], workers))
+"""
 RESERVED = {"aux", "con", "nul", "prn", *(f"{kind}{n}" for kind in ("com", "lpt") for n in "123")}
 """Names that Windows gives to devices, whatever the suffix."""
 
@@ -69,6 +81,21 @@ def test_workers_without_affinity_are_as_many_as_cores(monkeypatch: pytest.Monke
 
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     assert count_cores() == os.cpu_count()
+
+
+def test_workers_are_started_anew_where_nothing_can_fork(tmp_path: Path) -> None:
+    """Windows has no fork: workers import what they need, and the caller's module again."""
+    script = tmp_path / "study.py"
+    script.write_text(WITHOUT_FORK, encoding="utf-8")
+    told = subprocess.run(
+        [sys.executable, script],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.split() == ["[2,", "4,", "6]"]
 
 
 def test_a_child_without_limits_answers() -> None:
