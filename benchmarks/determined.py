@@ -1,6 +1,6 @@
 """Whether what asbuilt prints is what the log determines: a table for each kind of statement.
 
-    python benchmarks/determined.py [TABLE...] [--robots N] [--workers N]
+    python benchmarks/determined.py [TABLE...] [--robots N] [--workers N] [--out FOLDER]
 
 intervals
     Feasible intervals on virtual robots of five makes: 20 to 40 s of a motion of its own each,
@@ -16,17 +16,21 @@ silent
 from __future__ import annotations
 
 import argparse
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from asbuilt import RobotModel, identify, load_robot, random_fourier
-from asbuilt.identification import FeasibleInterval, IdentificationResult, feasible_intervals
+from asbuilt.identification import IdentificationResult, feasible_intervals
 from lacking import PLANAR, Trial, trials
-from outside_robot import OutsideRobot, Sensors, other_bodies
+from measurements import Run, count, resume
+from outside_robot import Array, OutsideRobot, Sensors, other_bodies
 from sound_logs import false_errors
 
 MAKES = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "so-101", "scara")
@@ -40,6 +44,7 @@ NOISE = 0.02
 """Torque noise in the typical torque of a joint."""
 QUANTITIES = ("mass", "com", "Ixx", "Iyy", "Izz", "armature")
 REGIONS = ("each", "joint")
+NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,28 +52,40 @@ class Held:
     """One interval of one robot, with the truth and the value that was chosen."""
 
     make: str
+    seed: int
     kind: str
     region: str
-    interval: FeasibleInterval
+    quantity: str
+    least: float
+    greatest: float
+    chosen: float | None
+    determined: bool
     truth: float
+
+    def _has(self, value: float) -> bool:
+        """Whether a value is in it, up to the solver's six digits."""
+        rounding = 1e-5 * abs(value)
+        return self.least - rounding <= value <= self.greatest + rounding
 
     @property
     def holds(self) -> bool:
-        """Whether it holds the truth, up to the solver's six digits."""
-        rounding = 1e-5 * abs(self.truth)
-        return self.interval.holds(self.truth + rounding) or self.interval.holds(
-            self.truth - rounding
-        )
+        """Whether it holds the truth."""
+        return self._has(self.truth)
+
+    @property
+    def misses_chosen(self) -> bool:
+        """Whether the chosen value is outside."""
+        return self.chosen is not None and not self._has(self.chosen)
 
     @property
     def width(self) -> float:
         """Width of the interval in the true value; infinite if it is open."""
-        return (self.interval.greatest - self.interval.least) / max(abs(self.truth), 1e-9)
+        return (self.greatest - self.least) / max(abs(self.truth), 1e-9)
 
     @property
     def chosen_error(self) -> float:
         """Error of the chosen value in the true one."""
-        chosen = np.nan if self.interval.chosen is None else self.interval.chosen
+        chosen = np.nan if self.chosen is None else self.chosen
         return abs(chosen - self.truth) / max(abs(self.truth), 1e-9)
 
 
@@ -117,39 +134,63 @@ def true_values(robot: OutsideRobot) -> Mapping[str, float]:
     return truth
 
 
-def intervals_of(task: tuple[str, int]) -> list[Held]:
-    """Return the intervals of one virtual robot."""
+def true_base(robot: OutsideRobot, result: IdentificationResult) -> Array:
+    """Return the true base parameters; what the robot does not have is zero."""
+    own = {
+        "Ia": robot.armature,
+        "Fv": robot.viscous,
+        "Fc": robot.coulomb,
+        "Fo": robot.offset,
+    }
+    values = [*robot.bodies.parameters]
+    for name in result.base.standard_names[len(values) :]:
+        has = name[:2] in own and name[2:].isdigit()
+        values.append(float(own[name[:2]][int(name[2:]) - 1]) if has else 0.0)
+    return np.asarray(result.base.values(np.array(values)))
+
+
+def intervals_of(task: tuple[str, int]) -> dict[str, Any]:
+    """Return the intervals of one virtual robot, and the errors of its base parameters."""
     make, seed = task
+    started = time.process_time()
     robot, result = study(make, seed)
-    truth, found = true_values(robot), list[Held]()
+    truth = true_values(robot)
     lacks = () if "armature" in result.base.drive.keys else ("armature",)
     names = [x for x in QUANTITIES if x not in lacks]
     names += [f"mass:{link.name}" for link in robot.bodies.links]
+    found = []
     for region in REGIONS:
         for each in feasible_intervals(result, names, region=region):
             kind = {"c": "centre", "I": "inertia"}.get(each.quantity[0], "")
             kind = kind or each.quantity.replace("mass:", "link mass:").partition(":")[0]
-            found.append(Held(make, kind, region, each, truth[each.quantity]))
-    return found
+            held = Held(
+                *(make, seed, kind, region, each.quantity, each.least, each.greatest),
+                *(each.chosen, each.determined, truth[each.quantity]),
+            )
+            found.append(asdict(held))
+    errors = (result.estimates - true_base(robot, result)) / result.std_errors
+    return {
+        "intervals": found,
+        "errors": dict(zip(result.base.names, errors.tolist(), strict=True)),
+        "seconds": time.process_time() - started,
+    }
 
 
-def intervals(robots: int, run: Callable[..., Iterator[list[Held]]]) -> None:
+def intervals(robots: int, run: Run, out: Path | None) -> None:
     """Print how many feasible intervals hold the truth."""
     tasks = [(MAKES[k % len(MAKES)], k) for k in range(robots)]
-    found = [each for some in run(intervals_of, tasks) for each in some]
+    path = None if out is None else out / "intervals.jsonl"
+    documents = list(resume(path, tasks, intervals_of, run))
+    found = [Held(**each) for document in documents for each in document["intervals"]]
     print(f"Feasible intervals of {robots} virtual robots of {len(MAKES)} makes")
     print(f"{'':>28} {'intervals':>9} {'hold':>6} {'open':>6} {'width':>7} {'chosen off':>10}")
     for region in REGIONS:
         own = [each for each in found if each.region == region]
         groups: dict[str, list[Held]] = {f"{region}: all": own}
         groups |= {
-            f"{region}: determined": [each for each in own if each.interval.determined],
-            f"{region}: chosen outside": [
-                each
-                for each in own
-                if each.interval.chosen is not None
-                and not each.interval.holds(each.interval.chosen)
-            ],
+            f"{region}: determined": [each for each in own if each.determined],
+            f"{region}: not determined": [each for each in own if not each.determined],
+            f"{region}: chosen outside": [each for each in own if each.misses_chosen],
         }
         for key in ("make", "kind"):
             for value in dict.fromkeys(getattr(each, key) for each in own):
@@ -163,6 +204,21 @@ def intervals(robots: int, run: Callable[..., Iterator[list[Held]]]) -> None:
             print(
                 f"{name:>28} {len(group):9d} {hold:6.3f} {np.mean(np.isinf(widths)):6.2f}"
                 f" {np.median(widths):7.2f} {off:10.2f}"
+            )
+        by_robot: dict[tuple[str, int], list[bool]] = {}
+        for each in own:
+            by_robot.setdefault((each.make, each.seed), []).append(each.holds)
+        print(
+            f"  {region}: robots whose intervals all hold {count([*map(all, by_robot.values())])}"
+        )
+    print("95 % intervals of base parameters")
+    for make in ("", *MAKES):
+        some = [each for each in documents if make in ("", each["task"][0])]
+        errors = np.array([z for each in some for z in each["errors"].values()])
+        if errors.size:
+            print(
+                f"{make or 'all':>28} {count(np.abs(errors) < NORMAL_95)}, RMS"
+                f" {np.sqrt(np.mean(errors**2)):.2f}, farthest {np.abs(errors).max():.1f}"
             )
 
 
@@ -183,7 +239,7 @@ def silent_of(task: tuple[str, str, int]) -> tuple[str, str, list[Trial]]:
     return robot, what, list(trials(robot, what, robots))
 
 
-def silent(robots: int, run: Callable[..., Iterator[tuple[str, str, list[Trial]]]]) -> None:
+def silent(robots: int, run: Run, out: Path | None) -> None:
     """Print how many intervals hold the truth, and what was named."""
     tasks = [(robot, what, robots) for what, names in SILENT.items() for robot in names]
     print(f"95 % intervals of {robots} logs each, and in how many of these it is named")
@@ -215,10 +271,12 @@ def main() -> None:
     parser.add_argument("tables", nargs="*", help=f"{', '.join(TABLES)} (default: all)")
     parser.add_argument("--robots", type=int, help=f"default: {ROBOTS}, of silent {LOGS} a row")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="folder of rows, which are continued")
     given = parser.parse_args()
     with ProcessPoolExecutor(given.workers) as pool:
         for name in given.tables or TABLES:
-            TABLES[name](given.robots or (LOGS if name == "silent" else ROBOTS), pool.map)
+            robots = given.robots or (LOGS if name == "silent" else ROBOTS)
+            TABLES[name](robots, pool.map, given.out)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Whether 95 % intervals of drives and delay cover the truth when a command is the torque.
 
 A servo arm and a quadruped that hangs in the air, simulated by MuJoCo under random commands, whose
-links differ from their description; the gains of the servo are known.
+links differ from their description. The gains of the servo are known, or unknown at the arm, whose
+delay alone then is compared: all torques have the scale of CAD.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ ARM = """<body name="a"><joint name="pan" axis="0 0 1"/>
 
 
 def measure(
-    repetitions: int = REPETITIONS, robots: Sequence[str] = ("arm", "quadruped")
+    repetitions: int = REPETITIONS, robots: Sequence[str] = ("arm", "unknown gains", "quadruped")
 ) -> dict[str, float]:
     """Return the share of intervals that cover the truth, by robot and kind of parameter.
 
@@ -69,15 +70,20 @@ def measure(
         LEG.format(n=f"{x}{y}", x=0.2 * x, y=0.05 * y, h=0.09 * y) for x in (1, -1) for y in (1, -1)
     )
     found: dict[str, float] = {}
-    for name, bodies, kp, kd in (("arm", ARM, 15.0, 0.0), ("quadruped", legs, 20.0, 1.5)):
+    for name, bodies, kp, kd in (
+        ("arm", ARM, 15.0, 0.0),
+        ("unknown gains", ARM, 30.0, 0.6),
+        ("quadruped", legs, 20.0, 1.5),
+    ):
         if name not in robots:
             continue
-        described = read_mjcf(f'<mujoco model="{name}"><worldbody>{bodies}</worldbody></mujoco>')
+        described = read_mjcf(f'<mujoco model="robot"><worldbody>{bodies}</worldbody></mujoco>')
+        known = name != "unknown gains"
         for noise in NOISES:
             errors: dict[str, list[float]] = defaultdict(list)
             for seed in range(repetitions):
                 rng = np.random.default_rng(seed)
-                for kind, each in _errors(described, kp, kd, noise, rng).items():
+                for kind, each in _errors(described, kp, kd, noise, rng, known=known).items():
                     errors[kind] += each
             for kind, each in errors.items():
                 label = f"{name}, {1e3 * noise:g} mrad, {kind}"
@@ -87,7 +93,13 @@ def measure(
 
 
 def _errors(
-    described: RobotModel, kp: float, kd: float, noise: float, rng: np.random.Generator
+    described: RobotModel,
+    kp: float,
+    kd: float,
+    noise: float,
+    rng: np.random.Generator,
+    *,
+    known: bool = True,
 ) -> dict[str, list[float]]:
     """Return for each kind the errors of one recording's estimates, in standard errors."""
     n = described.n_joints
@@ -97,10 +109,15 @@ def _errors(
     truth = replace(described.with_parameters(chi), joints=joints)
     servo = PositionServo(kp=(kp,) * n, kd=(kd,) * n, delay=DELAY)
     recording = _recorded(truth, servo, noise, rng)
-    driven = drive_by_command(recording, replace(servo, delay=None))
+    unknown = (np.nan,) * n
+    stated = servo if known else replace(servo, kp=unknown, kd=unknown)
+    driven = drive_by_command(recording, replace(stated, delay=None))
     options = StudyOptions(drive=DRIVE, checked=False)
     (item,), _, source, options = settle_servo(described, [driven], [], options)
     found = source.servo
+    late = ((found.servo.delay or 0.0) - DELAY) / found.errors.delay
+    if not known:
+        return {"delay": [late]}
     prepared = prepare(described, [item], chain=options.chain, checked=False, estimate_delay=False)
     training = source.settle_samples(prepared, [item]).training
     base = find_base_parameters(described, DRIVE)
@@ -115,7 +132,7 @@ def _errors(
     for parameter, each in zip(base.names, off.tolist(), strict=True):
         if parameter[:2] in KINDS:
             errors[KINDS[parameter[:2]]].append(each)
-    errors["delay"].append(((found.servo.delay or 0.0) - DELAY) / found.errors.delay)
+    errors["delay"].append(late)
     return errors
 
 

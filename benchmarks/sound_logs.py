@@ -8,9 +8,10 @@ description is wrong in one way, the log in none. And the reverse: logs with one
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,20 +21,13 @@ from asbuilt.description.model import JointLimits, RobotModel
 from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
+from measurements import Run, count, resume
 from outside_robot import OutsideRobot, Sensors, other_bodies, with_body
 
 MAKES = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "scara", "so-101")
 RATE = 200.0
 NOISE = 0.02
 """Torque noise in the torque of a joint."""
-
-
-class Tested(NamedTuple):
-    """What a check said of one log."""
-
-    make: str
-    case: str
-    errors: tuple[str, ...]
 
 
 def with_limits(model: RobotModel, rng: np.random.Generator) -> RobotModel:
@@ -151,7 +145,7 @@ LOGS: dict[str, Callable[[Recording, np.random.Generator], Recording]] = {
 """Logs with one real error."""
 
 
-def check_sound(task: tuple[str, str, int]) -> Tested:
+def check_sound(task: tuple[str, str, int]) -> dict[str, Any]:
     """Return what is said of one sound log, or of one with a real error."""
     make, case, seed = task
     rng = np.random.default_rng(seed)
@@ -161,21 +155,23 @@ def check_sound(task: tuple[str, str, int]) -> Tested:
     else:
         model = DESCRIPTIONS[case](model, rng)
     found = check_recording(model, log)
-    return Tested(make, case, tuple(dict.fromkeys(each.code for each in found.errors)))
+    errors = {each.code: each.message for each in found.errors}
+    return {"make": make, "case": case, "errors": errors}
 
 
-def false_errors(robots: int, run: Callable[..., Iterator[Tested]]) -> None:
+def false_errors(robots: int, run: Run, out: Path | None) -> None:
     """Print in how many sound logs an error was found, and how many real errors were."""
     for title, cases, n in (
         ("sound logs of wrong descriptions, with an error", tuple(DESCRIPTIONS), robots),
         ("logs with a real error, refused", tuple(LOGS), robots // 4),
     ):
         tasks = [(MAKES[k // len(cases) % len(MAKES)], cases[k % len(cases)], k) for k in range(n)]
-        found = list(run(check_sound, tasks))
-        print(f"{title}: {sum(bool(each.errors) for each in found)} of {n}")
+        path = None if out is None else out / "sound_logs.jsonl"
+        found = list(resume(path, tasks, check_sound, run))
+        print(f"{title}: {count([bool(each['errors']) for each in found])}")
         for case in cases:
-            own = [each for each in found if each.case == case]
-            codes = Counter(code for each in own for code in each.errors)
+            own = [each for each in found if each["case"] == case]
+            codes = Counter(code for each in own for code in each["errors"])
             listed = ", ".join(f"{code} {count}" for code, count in codes.items())
-            wrong = sum(bool(each.errors) for each in own)
+            wrong = sum(bool(each["errors"]) for each in own)
             print(f"  {case:<20}{wrong:3d} of {len(own):3d}  {listed}", flush=True)

@@ -20,7 +20,7 @@ JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "jso
 EXTRA = {
     "check": {"files"},
     "identify": {"payload", "cutoff_sweep", "rollout", "refined"},
-    "validate": {"rollout", "verdict", "headline", "use"},
+    "validate": {"rollout", "verdict", "headline", "use", "load"},
 }
 """Fields that some options of a command add."""
 IN_LINES = ("run",)

@@ -142,6 +142,7 @@ def _identify(arguments: tuple[str, ...], mark: int) -> dict[str, Any]:
         "findings": [],
         "effects": [tilt] if wanted else [],
         "verdict": {"use": use, "text": f"verdict {mark}", "measure": "torque", "error": {}},
+        "payload": {"headline": f"payload {mark}"} if "--payload" in arguments else None,
         "files": {kind: str(path) for kind, path in paths.items()},
     }
 

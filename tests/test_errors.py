@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.errors import AsbuiltError, MissingExtraError, MotionError
+from asbuilt.errors import AsbuiltError, MissingExtraError, MotionError, RecordingError
 from asbuilt.findings import Cure
 
 PROJECT = tomllib.loads(
@@ -37,3 +37,11 @@ def test_a_missing_extra_names_every_package_to_install(extra: str) -> None:
     # Metadata may write a distribution with either separator (PEP 503).
     named = {each.replace("-", ".") for each in found[1].split()}
     assert (named, found[2]) == ({each.replace("-", ".") for each in names}, extra)
+
+
+def test_the_text_of_an_error_names_the_arguments_that_cure_it() -> None:
+    error = RecordingError("the sign is flipped", cure=Cure("flip it", {"flip_torque": True}))
+    assert str(error) == "the sign is flipped; flip it (flip_torque=True)"
+    assert error.message == "the sign is flipped"
+    gains = RecordingError("no gains", cure=Cure("find them", call="find_gains"))
+    assert str(gains).endswith("find them (asbuilt.find_gains)")

@@ -150,7 +150,7 @@ def write_problem(
         states = plain_motion(log.t, log.q, None, rate, task.cutoff)
         np.savez(folder / f"test_{k}.npz", t=states.t, q=states.q, qd=states.qd, qdd=states.qdd)
         hidden.append(uniform(log.t, log.tau, states.t))
-    coupling = model.coupling
+    coupling = model.joint_map
     source = training[0].torque_source
     write_facts(
         task,

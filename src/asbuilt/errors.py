@@ -39,7 +39,7 @@ class AsbuiltError(Exception):
         raise AttributeError(f"{type(self).__name__} has no field {name!r}; it has {[*fields]}")
 
     def __str__(self) -> str:
-        return f"{self.message}; {self.cure}" if self.cure else self.message
+        return f"{self.message}; {self.cure.in_python}" if self.cure else self.message
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (_restore, (type(self), self.message, self.cure, self.fields))

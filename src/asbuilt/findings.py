@@ -39,6 +39,25 @@ class Cure:
     def __str__(self) -> str:
         return self.text
 
+    @property
+    def in_python(self) -> str:
+        """The advice with the arguments and the function that follow it.
+
+        Examples
+        --------
+        >>> Cure("flip the torque sign", settings={"flip_torque": True}).in_python
+        'flip the torque sign (flip_torque=True)'
+        >>> Cure("give the rate in Hz", settings={"rate": "HZ"}).in_python
+        'give the rate in Hz (rate=HZ)'
+        """
+        # A value in capitals stands for one that only the user knows.
+        spelled = [
+            f"{name}={value if str(value).isupper() else repr(value)}"
+            for name, value in self.settings.items()
+        ]
+        spelled += [f"asbuilt.{self.call}"] if self.call else []
+        return f"{self.text} ({', '.join(spelled)})" if spelled else self.text
+
 
 def undesigned(cure: Cure) -> Cure:
     """Return a cure without the design of a motion, as for legs, of which none is designed."""

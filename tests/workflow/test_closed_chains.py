@@ -140,7 +140,7 @@ def test_random_motions_close_the_loops_where_the_limits_do_not(draw) -> None:
         motion = draw(model, seed)
         t = motion.sample_times(200.0)
         lever = model.tree.joint_names.index("lever_joint")
-        angle = model.coupling.motion(motion.derivative(t, 0)).q[:, lever]
+        angle = model.joint_map.motion(motion.derivative(t, 0)).q[:, lever]
         # The cylinder's pivot is 0.1 m beside and 0.5 m below the lever's, which is 0.4 m long: the
         # law of cosines gives the distance of its end, which is the piston's length.
         end = np.column_stack([0.4 * np.cos(angle) - 0.1, 0.5 - 0.4 * np.sin(angle)])

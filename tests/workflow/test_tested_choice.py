@@ -12,6 +12,7 @@ from asbuilt import identify, load_robot, simulate_recording
 from asbuilt.dynamics import DriveSet
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Samples
+from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.workflow import prepare
 from asbuilt.workflow.prepare import Prepared
@@ -76,3 +77,41 @@ def test_no_effect_of_a_model_is_under_two_errors(shared: Path) -> None:
     held = [effect for effect in study.effects if effect.in_model and effect.std_error]
     assert held
     assert all(abs(effect.estimate) >= 2.0 * effect.std_error for effect in held)
+
+
+def test_a_term_that_goes_leaves_its_place_to_the_simpler_one() -> None:
+    names = ("one", "two", "three")
+    drive = DriveSet.parse("viscous:joints=2/3,power:exponent=0.5:joints=1,offset")
+    without = drop_terms(drive, {("power", "one")}, names)
+    assert without == DriveSet.parse("viscous,offset")
+
+
+@pytest.mark.study
+def test_an_effect_that_may_be_zero_goes_unless_what_was_left_out_shows_it(shared: Path) -> None:
+    log = shared / "data/z1/zn_a.csv"
+    if not log.is_file():
+        pytest.skip("the shared recordings are absent")
+    study = identify(shared / "models/z1/z1.xml", log, torque_source="motor", checked=False)
+    held = [each for each in study.effects if each.in_model and not each.confounded_with]
+    assert held
+    assert not any(each.feasible and each.feasible[0] < 0.0 < each.feasible[1] for each in held)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("train", [(1,), (1, 2)])
+def test_the_exported_robot_predicts_other_motion_as_the_fit_does(
+    shared: Path, train: tuple[int, ...]
+) -> None:
+    folder = shared / LWR4
+    if not folder.is_dir():
+        pytest.skip("the shared recordings are absent")
+    study = identify(
+        shared / "models/kuka_lwr4.urdf",
+        [folder / f"measurements_{k}.npz" for k in train],
+        validation=folder / "measurements_3.npz",
+        checked=False,
+    )
+    other = study.validations[-1]
+    assert other.metrics_exported is not None
+    fitted = other.metrics_as_built.relative_error
+    assert other.metrics_exported.relative_error == pytest.approx(fitted, rel=0.01)

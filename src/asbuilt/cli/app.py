@@ -40,6 +40,9 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 FULL_DISK = "asbuilt: the output cannot be written: No space left on device; free some space"
 
+WRITE_SHEET = "--write-sheet"
+"""Option of `check` that writes what a log needs beside it."""
+
 LONGEST_MESSAGE = 3000
 """Characters of an error, which may quote names from a file."""
 
@@ -271,7 +274,12 @@ def _describe_failure(problem: Exception) -> tuple[str, str, str, dict[str, Any]
     text = str(problem)
     if isinstance(problem, AsbuiltError):
         status = 2 if isinstance(problem, UsageError) else 1
-        return kind, problem.message, describe_cure(problem.cure), problem.fields, status
+        hint = describe_cure(problem.cure)
+        if isinstance(problem.cure, Cure) and problem.cure.sheet and WRITE_SHEET not in hint:
+            hint = (
+                f"{hint.rstrip()}\n\nOr let asbuilt check ROBOT LOG {WRITE_SHEET} write the sheet."
+            )
+        return kind, problem.message, hint, problem.fields, status
     if isinstance(problem, typer.TyperException):
         place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
         message = " ".join(problem.format_message().split()).rstrip(".")

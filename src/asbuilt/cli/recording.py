@@ -77,6 +77,7 @@ def check(
     proposals: dict[Path, experiment.SheetProposal] = {}
     written: dict[str, Path] = {}
     if write_sheet:
+        _refuse_name_of_sheet(log)
         proposals = _propose_sheets(described, log, reading)
         written = _write_sheets(proposals)
         # The sheet has the sign now, which the option would turn again.
@@ -117,6 +118,16 @@ def check(
     )
     if not all(found.ok for found in checks):
         raise typer.Exit(1)
+
+
+def _refuse_name_of_sheet(logs: list[Path]) -> None:
+    """Refuse a name after --write-sheet, which would be read as a recording."""
+    for path in logs:
+        if path.suffix == ".toml" and not path.exists():
+            raise UsageError(
+                f"--write-sheet takes no name, and {path} is no recording",
+                cure=Cure("leave the name out: the sheet of LOG is written to LOG.toml"),
+            )
 
 
 def _measure_information(

@@ -36,6 +36,7 @@ from asbuilt.cli.arguments.options import (
     PagePort,
     Robot,
     RobotOrResult,
+    is_result,
     load_described_robot,
     load_robot_as_built,
     refuse_idle,
@@ -76,7 +77,7 @@ def show(
 
     For a result, it shows the robot as built, and CAD masses for comparison.
     """
-    if Path(robot).suffix.lower() != ".json":
+    if not is_result(robot):
         model = load_described_robot(
             robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,7 @@ from asbuilt.cli.answers import (
     show_progress,
 )
 from asbuilt.cli.arguments.options import (
+    RESULT_HELP,
     AsJson,
     Filtering,
     Full,
@@ -36,6 +38,7 @@ from asbuilt.cli.arguments.options import (
     Scheduler,
     TimelineFiles,
     Unchecked,
+    is_result,
     load_described_robot,
     read_recordings_of_robot,
     read_robot_and_recordings,
@@ -64,7 +67,7 @@ def validate(
         str,
         typer.Argument(
             metavar="RESULT|ROBOT",
-            help="a result.json that `asbuilt identify --out` wrote, or a robot as described",
+            help=f"{RESULT_HELP}, or a robot as described",
         ),
     ],
     log: Logs,
@@ -106,7 +109,7 @@ def validate(
         rollout=() if rollout is None else parse_horizons(rollout),
         checked=not unchecked,
     )
-    if Path(result).suffix.lower() != ".json":
+    if not is_result(result):
         refuse_idle(
             "--require compares an identified model with CAD; a robot as described is CAD",
             {"--require": require},
@@ -153,10 +156,21 @@ def validate(
             + ("\n" if simulated else "")
             + writers.rollout_text(identified.model, simulated, full=full, cure_text=describe_cure)
             + list_files(files)
+            + _suggest_payload(result, log, validations)
         ),
     )
     if require and any(verdict.is_worse for verdict in verdicts):
         raise typer.Exit(1)
+
+
+def _suggest_payload(
+    result: str, log: Sequence[Path], validations: Sequence[validation.Validation]
+) -> str:
+    """Return the command that identifies a load which a recording carries; empty without one."""
+    for path, each in zip(log, validations, strict=True):
+        if each.load is not None and each.load.mass > 0.0:
+            return f"\nNext: asbuilt payload {result} {path}"
+    return ""
 
 
 def _validate_described(

@@ -196,7 +196,7 @@ class RobotModel:
                     f"{self.name}: motor_coupling must be {len(self.joints)} x {len(self.joints)}"
                     f" finite numbers, got {coupling.shape}"
                 )
-            if abs(np.linalg.det(coupling)) < 1e-9 and self.coupling is None:
+            if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(self.joint_map, OneToOne):
                 raise DescriptionError(
                     f"{self.name}: motor_coupling is singular: some motion of the joints turns no"
                     f" motor; got {coupling.tolist()}"
@@ -267,7 +267,7 @@ class RobotModel:
 
     @property
     def has_reactions(self) -> bool:
-        """Whether forces act that nobody measures, and which equations are projected away from.
+        """Whether forces may act that nobody measures, and are projected out of all equations.
 
         Every row then has parts of all joints.
         """
@@ -396,11 +396,6 @@ class RobotModel:
         if all(joint.mimic is None for joint in self.moving_joints):
             return OneToOne(self.n_joints)
         return derive_coupling(self.name, self.joints, self.followers)
-
-    @property
-    def coupling(self) -> JointMap | None:
-        """The `joint_map` where joints follow others, None where all have a drive."""
-        return None if isinstance(self.joint_map, OneToOne) else self.joint_map
 
     @property
     def closure(self) -> Closure | None:
@@ -649,7 +644,7 @@ class RobotModel:
         if coupling is not None:
             free = [k for k, name in enumerate(self.joint_names) if name not in values]
             coupling = coupling[np.ix_(free, free)]
-            if abs(np.linalg.det(coupling)) < 1e-9 and self.coupling is None:
+            if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(self.joint_map, OneToOne):
                 raise DescriptionError(
                     f"{self.name}: with {', '.join(values)} locked, the coupled motors of the other"
                     " joints do not turn with these alone; lock the joints coupled to them too"

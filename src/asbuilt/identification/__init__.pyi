@@ -73,6 +73,7 @@ from .result.feasible import FeasibleInterval as FeasibleInterval
 from .result.feasible import describe_condition as describe_condition
 from .result.feasible import feasible_intervals as feasible_intervals
 from .result.result import IdentificationResult as IdentificationResult
+from .result.result import Identified as Identified
 from .result.result import IdentifiedParameter as IdentifiedParameter
 from .result.summary import summarise as summarise
 from .result.torque_prediction import Prediction as Prediction

@@ -144,7 +144,10 @@ class Fit:
         return measure(self.estimate.beta), measure(np.nan_to_num(self.design, nan=0.0))
 
     def concluded(
-        self, train: TorqueMetrics, cad: TorqueMetrics, **further: Any
+        self,
+        train: TorqueMetrics | None = None,
+        cad: TorqueMetrics | None = None,
+        **further: Any,
     ) -> IdentificationResult:
         """Return the result with torque metrics and `further` arguments of `conclude`."""
         return conclude(

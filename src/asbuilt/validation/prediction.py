@@ -27,6 +27,7 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.tables import format_share
+from asbuilt.validation.carried_load import CarriedLoad
 from asbuilt.validation.residuals import (
     ResidualAnalysis,
     VelocityCurve,
@@ -45,6 +46,8 @@ class Validation:
     `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that
     follow velocity (friction, offset). `metrics_as_built` and `metrics_cad` measure the two
     predictions, `metrics_exported` the prediction of the robot which exports carry (None: unknown).
+    `load` is what the recording carries and the model lacks (None: nothing, or a part of the
+    training motion).
     Torques are in N m or N, as `units` says joint by joint.
     """
 
@@ -60,6 +63,7 @@ class Validation:
     metrics_as_built: TorqueMetrics
     metrics_cad: TorqueMetrics
     metrics_exported: TorqueMetrics | None = None
+    load: CarriedLoad | None = None
 
     def __post_init__(self) -> None:
         for values in (self.t, self.velocity, self.measured, self.predicted, self.predicted_cad):

@@ -12,6 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.description.inertia import shift_matrix
 from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import Recording, Samples, SignalChain, head_of
 from asbuilt.experiment.command.servo_torque import drop_slow_rows
@@ -41,6 +42,7 @@ from asbuilt.identification.calibration.two_channels import (
     identify_two_channels,
 )
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import Prediction
 from asbuilt.tables import round_significant
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 from asbuilt.workflow.study import Study
@@ -353,6 +355,9 @@ def _check_same_motion(sensor: Recorded, motor: Recorded) -> None:
 
 SWAP_LEFT = 0.25
 SWAP_NOISE = 4.0
+ANY_MASSES = 0.1
+"""Share by which any masses may explain changed torques worse, in squares, as 5 % of their error: a
+wrist's friction may say less of its sign than noise does."""
 
 
 def refuse_swapped(
@@ -377,11 +382,12 @@ def refuse_swapped(
         if as_logged < SWAP_NOISE:
             continue
         tried = [
-            (_measure_remaining_error((changed - arm.predicted) * weights, basis), what, cure)
-            for changed, what, cure in _list_changes(arm.measured, result.joint_names)
+            (_measure_remaining_error((changed[0] - arm.predicted) * weights, basis), changed)
+            for changed in _list_changes(arm.measured, result.joint_names)
         ]
-        best, what, cure = min(tried, key=lambda trial: trial[0])
-        if best < SWAP_LEFT * as_logged:
+        best, (changed, what, cure) = min(tried, key=lambda trial: trial[0])
+        # A load elsewhere than at the flange can look like a wrong sign, too.
+        if best < SWAP_LEFT * as_logged and _fit_any_masses(result, samples, arm, changed):
             raise RecordingError(
                 f"{samples.source}: the torques do not fit the arm of the result with any body at"
                 f" its flange; {what} (error {round_significant(np.sqrt(as_logged), 2)} times the"
@@ -389,6 +395,31 @@ def refuse_swapped(
                 f" of the result as logged, {round_significant(np.sqrt(best), 2)} times then)",
                 cure=cure,
             )
+
+
+def _fit_any_masses(
+    result: IdentificationResult, samples: Samples, arm: Prediction, changed: Array
+) -> bool:
+    """Return whether any masses and friction explain changed torques (N, n) as well as the logged.
+
+    The known arm does not count: what a change makes of it would be no robot at all.
+    """
+    n = result.model.n_joints
+    columns = observation_matrix(
+        result.model,
+        samples.q,
+        samples.qd,
+        samples.qdd,
+        drive=result.base.drive,
+        columns=result.base.columns,
+    ).reshape(len(samples.q), n, -1)
+    weighted = samples.filtered(columns) * result.weights[:, None]
+    basis = _find_basis(weighted.reshape(-1, weighted.shape[2]))
+    logged, other = (
+        _measure_remaining_error(torque * result.weights, basis)
+        for torque in (arm.measured, changed)
+    )
+    return other <= (1.0 + ANY_MASSES) * logged
 
 
 def _build_body_torques(
@@ -405,9 +436,12 @@ def _build_body_torques(
         columns[:, :, i] = samples.filtered(
             inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
         )
-    basis, lengths, _ = np.linalg.svd(
-        (columns * result.weights[:, None]).reshape(-1, 10), full_matrices=False
-    )
+    return _find_basis((columns * result.weights[:, None]).reshape(-1, 10))
+
+
+def _find_basis(columns: Array) -> Array:
+    """Return an orthonormal basis (N, r) of the span of columns (N, m)."""
+    basis, lengths, _ = np.linalg.svd(columns, full_matrices=False)
     # A body in a frame on an axis has directions without torque.
     rounding = np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)
     return np.asarray(basis[:, lengths > rounding])

@@ -28,11 +28,13 @@ from asbuilt.identification.drives.drive_choice import (
 )
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import is_sure, list_term_places
-from asbuilt.identification.effects.families.drive_terms import drop_terms
+from asbuilt.identification.effects.families.drive_terms import drop_terms, takes_place_of_simpler
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
+from asbuilt.identification.result.feasible import list_open
+from asbuilt.identification.statistics import exceeds
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.prepare import Prepared, Progress
@@ -237,7 +239,7 @@ def _fit_all(
             errors=options.errors,
             block_seconds=options.block_seconds,
             threads=options.threads,
-            fitted_nonlinear=choice.fitted,
+            fitted_nonlinear=[place for place in choice.fitted if place.is_of(drive)],
             expected=source.expected,
             kept=kept,
             kind=kind,
@@ -247,30 +249,36 @@ def _fit_all(
 
     if options.refine is None or parts is None:
         kind = ""
+        needed = set[tuple[str, str]]()
+        # One that goes can take another with it: asked until every effect that is left stays.
         while True:
             final = _with_omitted_bias(fitted(used, choice.drive, kind), effects)
-            needless = _list_unsure(final, effects)
             validated = final
+            needless = _list_unsure(final, effects)
             if not needless:
                 # A second fit only where the final one sees what validation is to predict.
-                validated = (
-                    fitted(prepared.training, choice.drive, kind) if prepared.whole else final
-                )
+                if prepared.whole:
+                    validated = fitted(prepared.training, choice.drive, kind)
                 test = LeftOut.of(validated, prepared) if source.is_measured else None
                 needless = set() if test is None else test.list_harmful(effects.found)
-            # One that goes can take another with it: asked until every effect that is left stays.
-            if needless:
-                effects = effects.without(needless)
-                choice = replace(
-                    choice, drive=drop_terms(choice.drive, needless, model.joint_names)
+                # Once: what was left out decides between kinds of fits, and then has decided.
+                if not (needless or kind or test is None):
+                    kind = test.find_better_kind()
+                    if kind:
+                        continue
+            # Of a servo's commands no torque is known that could test.
+            if not needless and source.is_measured:
+                refit = partial(fitted, prepared.training, kind=kind)
+                needless = _find_unshown(
+                    final, effects, needed, partial(_measure_gain, validated, prepared, test, refit)
                 )
-                continue
-            # Once: what was left out decides between kinds of fits, and then has decided.
-            better = "" if kind or test is None else test.find_better_kind()
-            if not better:
+            if not needless:
                 break
-            kind = better
-        left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
+            effects = effects.without(needless)
+            choice = choice.without(needless, model.joint_names)
+        left_out = _leave_out(
+            final, prepared, options, lambda others: fitted(others, choice.drive, kind)
+        )
         return Fits(
             model,
             prepared,
@@ -321,6 +329,49 @@ def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
         for effect, places in tested
         if not is_sure(*fit.next_to_omitted(places))
     }
+
+
+def _find_unshown(
+    final: Fit,
+    effects: Effects,
+    needed: set[tuple[str, str]],
+    measure_gain: Callable[[DriveSet], Array | None],
+) -> set[tuple[str, str]]:
+    """Return key and joint of an effect that nothing shows, the last one found first; else none.
+
+    Shown is an effect without which what was left out is surely predicted worse. It is asked of
+    those that are zero in some consistent bodies near the estimate, which stay only if shown, and
+    of terms in place of simpler ones. `needed` were shown before; `measure_gain` returns the gain
+    over a fit with other drive terms by time block, None where too little is left out.
+    """
+    names = final.model.joint_names
+    in_drive = [effect for effect in effects.found if effect.effect in final.base.drive.keys]
+    open_ones = list(list_open(final.concluded(), in_drive)) if in_drive else []
+    for effect in reversed(in_drive):
+        place = (effect.effect, str(effect.joint))
+        is_open = effect in open_ones
+        if place in needed or not (is_open or takes_place_of_simpler(effect)):
+            continue
+        gain = measure_gain(drop_terms(final.base.drive, {place}, names))
+        if is_open if gain is None else not exceeds(gain, 1.0):
+            return {place}
+        needed.add(place)
+    return set()
+
+
+def _measure_gain(
+    fit: Fit,
+    prepared: Prepared,
+    test: LeftOut | None,
+    refit: Callable[[DriveSet], Fit],
+    drive: DriveSet,
+) -> Array | None:
+    """Return by how much a fit with other drive terms predicts what was left out worse, (B,).
+
+    Without other motion what repeats the motion fitted has to do; None if that is too little.
+    """
+    test = test or LeftOut.of(fit, prepared, even_repeated=True)
+    return None if test is None else test.measure_gain_over(refit(drive))
 
 
 def _leave_out(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
     from asbuilt.workflow.study import Study
 
+RESULT = "result.json"
 LARGEST = 30_000_000
 """Bytes of a stored result; a result of seven joints has 0.4 MB."""
 
@@ -24,7 +25,7 @@ def read_result(path: str | os.PathLike[str]) -> IdentificationResult:
     Parameters
     ----------
     path
-        The `result.json` that `identify` or `write_result` wrote.
+        The `result.json` that `identify` or `write_result` wrote, or the folder that holds it.
 
     Raises
     ------
@@ -42,7 +43,10 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     ResultError
         If the file cannot be read, is not a stored result, or is damaged.
     """
-    text = read_text(Path(path), "result", ResultError, LARGEST)
+    place = Path(path)
+    # `identify --out` names a folder, and so do those who use what it wrote.
+    place = place / RESULT if place.is_dir() else place
+    text = read_text(place, "result", ResultError, LARGEST)
     try:
         # Checked before the study is imported, which takes longer than the check.
         parse_stored_document(text)

@@ -34,6 +34,7 @@ from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.registry import divide_settings
+from asbuilt.tables import Table, format_share
 from asbuilt.validation import (
     Attribution,
     Comparison,
@@ -46,7 +47,7 @@ from asbuilt.validation import (
 )
 from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
-from asbuilt.validation.verdicts.verdict_error import choose_decisive_rollout
+from asbuilt.validation.verdicts.verdict_error import VerdictError, choose_decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fits import fit_study
 from asbuilt.workflow.prepare import (
@@ -131,7 +132,7 @@ class Study:
         found = summarise(self.result, findings=self.findings, verdict=self.verdict.text)
         simulated = choose_decisive_rollout(self.rollouts)
         if self.verdict.measure == "torque" or simulated is None:
-            return found
+            return replace(found, joints=_name_model(found.joints, self.verdict.error))
         return replace(found, joints=tabulate_joint_errors(self.result.model, simulated))
 
     @property
@@ -224,6 +225,16 @@ class Study:
                 cure=Cure("identify again"),
             ) from problem
         return cls(result, found, stored_verdict=verdict)
+
+
+def _name_model(joints: Table, error: VerdictError) -> Table:
+    """Return the errors of joints with whose they are, where the verdict's is of another model."""
+    fitted = format_share(error.as_built)
+    exported = format_share(error.exported)
+    if error.as_built is None or error.exported is None or fitted == exported:
+        return joints
+    whose = f"as fitted {fitted}, as exported (the verdict's) {exported}"
+    return replace(joints, title=f"{joints.title}; {whose}")
 
 
 def identify(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from asbuilt.identification.effects.effect_findings import (
     as_identified,
     describe_stated,
     report_effects,
+    report_springs_alike,
 )
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.equations import CauseData, gather_cause_data
@@ -30,6 +32,7 @@ from asbuilt.identification.uncertainty.bias import (
     report_position_noise,
 )
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
+from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
 from asbuilt.validation.generalisation.coverage import (
@@ -48,6 +51,9 @@ from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
 from asbuilt.workflow.study_options import StudyOptions
+
+if TYPE_CHECKING:
+    from asbuilt.identification.uncertainty.foot_moments import FootMoments
 
 GAINS_ASSUMED = Finding(
     "gains_assumed",
@@ -102,7 +108,9 @@ def conclude_study(
         effect for effect in fits.effects.found if options.wanted_effects.named or effect.in_model
     )
     # Bias by effects that are not in the model widens the errors of the result.
-    omitted = _join_biases(fits.final.omitted, _doubt_friction(fits.final))
+    feet = _find_foot_moments(fits)
+    of_feet = None if feet is None else feet.omitted(fits.final.information, fits.final.estimate)
+    omitted = _join_biases(_join_biases(fits.final.omitted, _doubt_friction(fits.final)), of_feet)
     result = replace(fits.final, omitted=omitted).concluded(
         train=train,
         cad=train_cad if decisive is None else decisive.metrics_cad,
@@ -135,7 +143,11 @@ def conclude_study(
     validations = tuple(
         with_exported(result.without_recording(number), prediction, samples)
         if number < len(prepared.held_out)
-        else with_exported(result.of_training, prediction, samples)
+        else with_exported(
+            result.of_training,
+            replace(prediction, load=find_carried_load(result.of_training, samples)),
+            samples,
+        )
         for number, (prediction, samples) in enumerate(zip(validations, held, strict=True))
     )
     findings = (
@@ -174,7 +186,8 @@ def conclude_study(
             with_leg_findings,
         )
 
-        findings = with_leg_findings(findings, result, fits.samples)
+        of_moments = () if feet is None else (feet.finding,)
+        findings = (*with_leg_findings(findings, result, fits.samples), *of_moments)
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
     # What was validated decides which joint's error matters, training only without it.
@@ -192,6 +205,17 @@ def _doubt_friction(fit: Fit) -> OmittedBias | None:
     if fit.uncertainty.basis.asked == "textbook":
         return None
     return doubt_driving_friction(fit.information, fit.estimate)
+
+
+def _find_foot_moments(fits: Fits) -> FootMoments | None:
+    if not fits.model.mixes_joints:
+        return None
+    from asbuilt.identification.uncertainty.foot_moments import (  # noqa: PLC0415 - light start
+        find_foot_moments,
+    )
+
+    final = fits.final
+    return find_foot_moments(fits.model, final.information, final.estimate, fits.samples)
 
 
 def _join_biases(first: OmittedBias | None, second: OmittedBias | None) -> OmittedBias | None:
@@ -231,6 +255,7 @@ def _report_model(
     return (
         *report_plateaus(fits.model, fits.plateaus),
         *_report_effects(fits.effects, options),
+        *report_springs_alike(result),
         *([GAINS_ASSUMED] if any(s.torque_source == "current" for s in fits.samples) else []),
         *report_position_noise(
             result,

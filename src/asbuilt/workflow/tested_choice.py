@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification import FoundEffect, SquareRootInformation, accumulate_stream
 from asbuilt.identification.effects.effect_findings import list_term_places
 from asbuilt.identification.identify import Fit
@@ -28,38 +29,45 @@ class LeftOut:
     A fit expects errors on other motion from its own motion alone. The squared torque error of each
     time block that was left out, as a share of its recording's squared torque, tests what it chose;
     better is a mean paired difference beyond one standard error. Recordings that repeat the
-    training motion test nothing: on the LWR4+ least squares predicts a repetition better than a fit
-    toward CAD, and another motion three times worse.
+    training motion test no kind of fit: on the LWR4+ least squares predicts a repetition better
+    than a fit toward CAD, and another motion three times worse. An effect that does not even help
+    there is not shown.
 
     Parameters
     ----------
     fit
         The fit.
-    seen
-        Square-root information of each recording left out.
+    samples, seen
+        Each recording left out, and its square-root information.
     errors
         Squared errors of the fit on all their time blocks, (B,).
     """
 
     fit: Fit
+    samples: Sequence[Samples]
     seen: Sequence[SquareRootInformation]
     errors: Array
 
     @classmethod
-    def of(cls, fit: Fit, prepared: Prepared) -> LeftOut | None:
-        """Return the test of a fit to the training samples; None if too little was left out."""
-        base = fit.base
-        model = fit.model
-        if base.drive.needs_load:
-            model = set_link_parameters(model, base, fit.estimate.beta)
-        seen = [
-            accumulate_stream(model, base, [samples])
-            for samples in prepared.unseen
-            if measure_repeated_share(prepared.training, samples) <= NEAR.repeated
+    def of(cls, fit: Fit, prepared: Prepared, *, even_repeated: bool = False) -> LeftOut | None:
+        """Return the test of a fit to the training samples; None if too little was left out.
+
+        Of other motion alone, or even of what repeats the motion fitted.
+        """
+        samples = [
+            each
+            for each in prepared.unseen
+            if even_repeated or measure_repeated_share(prepared.training, each) <= NEAR.repeated
         ]
+        seen = _accumulate_for(fit, samples)
         if sum(each.n_blocks for each in seen) < FEWEST_BLOCKS:
             return None
-        return cls(fit, seen, measure_block_errors(seen, fit.estimate.beta))
+        return cls(fit, samples, seen, measure_block_errors(seen, fit.estimate.beta))
+
+    def measure_gain_over(self, other: Fit) -> Array:
+        """Return by how much another fit, of whatever drive terms, errs more, (B,)."""
+        seen = _accumulate_for(other, self.samples)
+        return measure_block_errors(seen, other.estimate.beta) - self.errors
 
     def find_better_kind(self) -> str:
         """Return the kind of consistent fit that predicts what was left out surely better, or "".
@@ -89,6 +97,14 @@ class LeftOut:
             if exceeds(gain, 1.0):
                 tried.append((float(gain.sum()), (effect.effect, str(effect.joint))))
         return {max(tried)[1]} if tried else set()
+
+
+def _accumulate_for(fit: Fit, samples: Iterable[Samples]) -> list[SquareRootInformation]:
+    """Return the information of each recording, friction loaded by the bodies of a fit."""
+    model = fit.model
+    if fit.base.drive.needs_load:
+        model = set_link_parameters(model, fit.base, fit.estimate.beta)
+    return [accumulate_stream(model, fit.base, [each]) for each in samples]
 
 
 def drop_parameters(estimate: Estimate, places: Indices) -> Array:

@@ -32,6 +32,7 @@ from asbuilt.validation import (
     validate_description,
     validate_samples,
 )
+from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.prepare import (
@@ -86,7 +87,10 @@ def validate(
     found = []
     for recording in as_recordings(result.model, recordings):
         fitted, samples = _prepare_recording(result, recording, options)
-        found.append(with_exported(fitted, validate_samples(fitted, samples, cad=cad), samples))
+        prediction = validate_samples(fitted, samples, cad=cad)
+        # A recording that was fitted, in part, carries what the model has.
+        load = None if fitted is not result else find_carried_load(result, samples)
+        found.append(with_exported(fitted, replace(prediction, load=load), samples))
     return tuple(found)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from asbuilt.codec import format_json
-from asbuilt.description.formats.toml_tables import RobotFile
+from asbuilt.description.toml_tables import RobotFile
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.registry import suggest_name

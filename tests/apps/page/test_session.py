@@ -216,12 +216,21 @@ def test_a_field_is_an_option_of_the_line(session: Session) -> None:
         set_option("reading", "", "--trust-xacro", True)
 
 
+def test_a_log_under_load_is_weighed_with_the_identified_arm(session: Session) -> None:
+    session.choose({"robot": "two-link", "logs": ["bare.csv"], "payload": ["loaded.csv"]})
+    session.set_option("reading", "--window", "5:60")
+    words = session.arguments("identify")
+    assert words[words.index("--payload") + 1] == "loaded.csv"
+    assert words[words.index("--window") + 1] == "5:60"
+    assert session.arguments("check")[2:4] == ("bare.csv", "loaded.csv")
+
+
 @pytest.mark.parametrize(
     ("choices", "step", "why"),
     [
         (Choices(), "show", "choose a robot first"),
         (Choices("two-link"), "columns", "choose a log first"),
-        (Choices("two-link", validation=("a.csv",)), "identify", "all are for validation"),
+        (Choices("two-link", validation=("a.csv",)), "identify", "a log to identify with"),
     ],
 )
 def test_steps_wait_for_what_they_need(

@@ -134,6 +134,7 @@ def acts(browser: Any, folder: Path, rng: random.Random) -> list[Callable[[], An
         run(CLICK, "#log-list button", number()),
         run(PICK, "#log-list select", number(), number()),
         run(ENTER, "--rate", rng.choice(("", "100", "250"))),
+        run(ENTER, "--window", rng.choice(("", "5:60", "5:60,80:", "5-60"))),
         run(ENTER, "--flip-torque", rng.choice(("", "true"))),
         run(PICK, '[data-option="--torque-source"]', 0, number()),
         run(PICK, '[data-option="--mounting"]', 0, number()),

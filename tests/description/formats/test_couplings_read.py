@@ -55,8 +55,7 @@ def test_a_joint_that_follows_by_a_curve_closes_a_loop() -> None:
     assert loop.kind == "joint"
     assert robot.joint_names == ("a", "c")
     q = np.array([[0.2, 0.1]])
-    assert robot.coupling is not None
-    b = robot.coupling.motion(q, 0 * q, 0 * q).q[0, 1]
+    b = robot.joint_map.motion(q, 0 * q, 0 * q).q[0, 1]
     from_reference = b - 0.3
     np.testing.assert_allclose(from_reference + 0.5 * from_reference**2, 0.2, atol=1e-9)
 

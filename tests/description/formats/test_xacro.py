@@ -48,6 +48,17 @@ def test_what_cannot_be_expanded_is_one_error(tmp_path: Path, old: str, new: str
         read_xacro(tmp_path / "arm.xacro")
 
 
+def test_an_argument_without_a_value_is_named_with_its_option(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    (tmp_path / "arm.xacro").write_text(ARM.replace("2 * k", "$(arg weight)"))
+    with pytest.raises(
+        DescriptionError, match="argument 'weight', which has no default"
+    ) as refused:
+        read_xacro(tmp_path / "arm.xacro")
+    assert refused.value.cure is not None
+    assert refused.value.cure.settings == {"xacro": "weight=VALUE"}
+
+
 def test_arguments_take_the_place_of_defaults(tmp_path: Path) -> None:
     pytest.importorskip("xacro")
     text = ARM.replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -72,7 +73,9 @@ def test_too_few_blocks_take_the_usual_weight_and_cost_is_said(robot):
     result = chosen(robot, recording(model, base, impossible, noise=0.1, seconds=2.0, seed=2))
     assert result.method == "entropic"
     assert "too few" in result.notes[0]
-    assert "consistent_fit_costly" in codes(result)
+    (costly,) = (each for each in result.findings if each.code == "consistent_fit_costly")
+    assert "% of its torque (else" in costly.message
+    assert re.search("no passive drive or body has: .*Ixz3", costly.message)
 
 
 def test_joint_that_stands_is_consistent_and_said(robot):

@@ -1,4 +1,4 @@
-"""The robot closest to CAD within the standard errors, checked against a dense inverse."""
+"""The robot closest to CAD within the noise of the torques, checked against predicted torques."""
 
 from __future__ import annotations
 
@@ -14,24 +14,31 @@ from asbuilt.validation.prediction import predict_both
 
 
 @pytest.fixture(scope="module")
-def result(robot):
+def samples(robot):
     model, base, beta = robot
-    samples = recording(model, base, beta, noise=0.3, seconds=60.0, seed=2)
+    return recording(model, base, beta, noise=0.3, seconds=60.0, seed=2)
+
+
+@pytest.fixture(scope="module")
+def result(robot, samples):
+    model, base, _ = robot
     return identify_samples(model, samples, drive=DRIVE, base=base, method="consistent")
 
 
-def test_closest_to_cad_within_the_standard_errors(result):
+def test_closest_to_cad_within_the_noise_of_the_torques(result, samples):
     found = as_built_parameters(result)
     cad = build_cad_prior(result.model, DRIVE)
     exact = find_standard_parameters(result.model, result.base, result.estimates)
-    moved = result.base.values(found.parameters) - result.estimates
-    chi_square = moved @ np.linalg.solve(result.covariance, moved)
-    assert chi_square == pytest.approx(found.chi_square, rel=1e-6)
-    assert 0.95 * LIMIT < chi_square <= LIMIT
-    assert np.all(np.abs(moved) <= np.sqrt(np.diag(result.covariance)))
+    kept = result.base.values(found.parameters)
+    predicted = predict_both(result.model, result.base, result.estimates, kept, samples)
+    moved = (predicted.predicted - predicted.predicted_cad) / result.sigma
+    chi_square = np.sum(moved**2)
+    # Without the rows themselves CAD's weak belief is in the metric too: a little is left over.
+    assert 0.9 * LIMIT < chi_square <= found.chi_square <= LIMIT
+    assert np.all(np.abs(kept - result.estimates) <= np.sqrt(np.diag(result.covariance)))
     assert cad.divergence(found.parameters).sum() < cad.divergence(exact.parameters).sum()
     assert np.linalg.eigvalsh(pseudo_inertias(found.parameters[:30].reshape(-1, 10))).min() > 0.0
-    assert "within the standard errors" in found.verdict
+    assert "within the noise of the data used" in found.verdict
     assert not found.substituted
 
 
@@ -50,7 +57,7 @@ def test_no_parameters_with_these_torques_or_nearer_ones_are_closer(result):
             assert cad.divergence(found.parameters + step + inward).sum() >= least * (1.0 - 1e-3)
 
 
-def test_exported_torques_stay_within_their_standard_errors(robot, result):
+def test_exported_torques_stay_within_their_noise(robot, result):
     model, base, beta = robot
     other = recording(model, base, beta, seconds=20.0, seed=9)
     found = as_built_parameters(result)

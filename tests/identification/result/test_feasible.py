@@ -204,6 +204,28 @@ def test_the_truth_of_a_robot_of_the_field_is_in_every_interval(shared: Path) ->
     assert effects["j3"].std_error is not None
 
 
+@pytest.mark.study
+def test_the_exported_robot_is_one_of_the_bodies(shared: Path) -> None:
+    """Near CAD by choice: least squares of these short logs alone would exclude its armature."""
+    logs = [shared / f"data/schunk/m{k}.csv" for k in (9, 10, 11, 12)]
+    if not logs[0].is_file():
+        pytest.skip("the shared recordings are absent")
+    result = identify(shared / "models/schunk/schunk_lwa4p.urdf", logs, checked=False).result
+    for each in feasible_intervals(result, ("mass", "com", "Ixx", "armature")):
+        assert each.chosen is None or each.holds(each.chosen), each
+        assert "excludes" not in each.sentence
+
+
+def test_values_that_no_robot_has_are_no_choice(pendulum: IdentificationResult) -> None:
+    negative = tuple(
+        replace(each, estimate=-each.estimate if each.name.startswith("Iyy") else each.estimate)
+        for each in pendulum.parameters
+    )
+    inconsistent = replace(pendulum, parameters=negative)
+    assert not as_built_parameters(inconsistent).consistent
+    assert feasible_intervals(inconsistent, ("mass",))[0].chosen is None
+
+
 def test_a_value_is_stated_alone_within_a_tenth() -> None:
     def interval(least: float, greatest: float) -> FeasibleInterval:
         return FeasibleInterval("mass", "kg", least, greatest, 10.0, 9.0)

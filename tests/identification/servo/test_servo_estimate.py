@@ -68,8 +68,8 @@ def unknown(kp=(np.nan,) * 3, kd=(0.0,) * 3):
     return PositionServo(kp=kp, kd=kd)
 
 
-def estimated(recording, servo, **settings):
-    model = read_mjcf(ROBOT)
+def estimated(recording, servo, model=None, **settings):
+    model = model or read_mjcf(ROBOT)
     drive = DriveSet.parse("armature,viscous,coulomb")
     driven = drive_by_command(recording, servo)
     chain = resolve_chain(SignalChain(), driven)
@@ -91,6 +91,16 @@ def test_stiffness_is_found_from_the_masses_of_cad(recording):
     assert np.array(found.errors.kp) / np.array(found.servo.kp) == pytest.approx(0.1, rel=0.05)
     assert found.servo.delay == pytest.approx(DELAY, abs=STEP)
     assert set(found.errors.scale) <= {"gravity", "inertia"}
+
+
+def test_wrong_masses_of_cad_are_no_delay(recording):
+    """Links of other masses scale each joint's stiffness otherwise, but not what turns what."""
+    plain = estimated(recording, unknown(KP))
+    model = read_mjcf(ROBOT)
+    chi = model.parameters.reshape(3, 10) * np.array([[1.0], [0.8], [1.25]])
+    found = estimated(recording, unknown(), model.with_parameters(chi.ravel()))
+    assert np.ptp(found.servo.kp) < 0.02 * np.mean(found.servo.kp)
+    assert found.servo.delay == pytest.approx(plain.servo.delay, abs=2.0 * found.errors.delay)
 
 
 @pytest.mark.study

@@ -132,6 +132,8 @@ def test_absurd_bodies_are_not_for_use_as_bodies(study: Study, factor: float, us
     assert found.bodies.use == use
     assert found.text.startswith("USE" if use == "yes" else "USE for torque: predicts")
     assert ("; DO NOT USE as bodies: " in found.text) == (use == "no")
+    assert found.use_for_torque == "yes"
+    assert bool(found.bodies.reasons) == (use != "yes")
 
 
 def test_data_that_repeat_the_training_motion_earn_no_use(study: Study) -> None:

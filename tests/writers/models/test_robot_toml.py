@@ -79,7 +79,9 @@ def test_identified_robot_predicts_what_was_identified(
 ) -> None:
     example: Any = request.getfixturevalue(which)
     samples = example.held_out
-    result = replace(example.result, covariance=1e-20 * example.result.covariance)
+    result = replace(
+        example.result, cause_data=None, textbook_covariance=1e-20 * example.result.covariance
+    )
     robot = load_robot(write_robot_toml(tmp_path / "robot.toml", as_built(result).model))
     drive = result.base.drive
     chi = parameter_values(robot, drive)
@@ -96,7 +98,13 @@ def test_design_values_give_the_design_back(example: Any) -> None:
     known = tuple(
         replace(p, estimate=0.0 if np.isnan(p.cad) else p.cad) for p in example.result.parameters
     )
+    sharp = 1e-20 * example.result.covariance
     robot = as_built(
-        replace(example.result, parameters=known, covariance=1e-20 * example.result.covariance)
+        replace(
+            example.result,
+            parameters=known,
+            cause_data=None,
+            textbook_covariance=sharp,
+        )
     ).model
     np.testing.assert_allclose(robot.parameters, example.model.parameters, atol=1e-8)

@@ -23,6 +23,8 @@ LONGEST_TEXT = 4096
 """Bytes of a path, as of the system, and of a line of options."""
 MOST_LOGS = 1000
 """Recordings that are chosen at once."""
+ROLES = ("logs", "validation", "payload")
+"""Fields of `Choices` that hold recordings."""
 FORMATS = {
     "urdf": ("URDF", "--urdf", "robot_as_built.urdf"),
     "mjcf": ("MJCF (MuJoCo)", "--mjcf", "robot_as_built.xml"),
@@ -50,8 +52,8 @@ class Choices:
     ----------
     robot
         A bundled robot or the path of a description; empty: none yet.
-    logs, validation
-        Paths of recordings: to identify with, and to validate on.
+    logs, validation, payload
+        Paths of recordings: to identify with, to validate on, and with a load to identify.
     reading
         Options of how logs are read, as on a command line.
     options
@@ -70,17 +72,18 @@ class Choices:
     robot: str = ""
     logs: tuple[str, ...] = ()
     validation: tuple[str, ...] = ()
+    payload: tuple[str, ...] = ()
     reading: str = ""
     options: str = ""
     effects: str = ""
     export: str = "urdf"
 
     def __post_init__(self) -> None:
-        for path in (self.robot, *self.logs, *self.validation):
+        for path in (self.robot, *self.recordings):
             if path.startswith("-"):
                 raise UsageError(f"{path!r} looks like an option; write ./{path}")
             _check_text(path)
-        if len(self.logs) + len(self.validation) > MOST_LOGS:
+        if len(self.recordings) > MOST_LOGS:
             raise UsageError(f"more than {MOST_LOGS} recordings are chosen")
         for line in LINES:
             read_options(line, getattr(self, line))
@@ -90,6 +93,11 @@ class Choices:
                 f"there is no format {self.export!r}", value=self.export, available=[*FORMATS]
             )
 
+    @property
+    def recordings(self) -> tuple[str, ...]:
+        """All recordings, whatever they are for."""
+        return (*self.logs, *self.validation, *self.payload)
+
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields given, each of its type; raises `UsageError` for anything else."""
@@ -97,7 +105,7 @@ class Choices:
         for entry in fields(cls):
             if entry.name in given:
                 value = given[entry.name]
-                several = entry.name in ("logs", "validation")
+                several = entry.name in ROLES
                 texts = value if several else [value]
                 if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
                     raise UsageError(f"{entry.name} takes text")

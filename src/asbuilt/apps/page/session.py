@@ -152,8 +152,13 @@ class Session:
         """Return the arguments of the command of a step."""
         chosen = self.choices
         reading = split_words(chosen.reading)
-        logs = (*chosen.logs, *chosen.validation)
-        validate = [word for log in chosen.validation for word in ("--validate", log)]
+        logs = chosen.recordings
+        others = [
+            word
+            for option, paths in (("--validate", chosen.validation), ("--payload", chosen.payload))
+            for path in paths
+            for word in (option, path)
+        ]
         effects = ["--effects", chosen.effects] if chosen.effects else []
         result = str(self.result)
         return {
@@ -161,7 +166,7 @@ class Session:
             "columns": ("columns", chosen.robot, *logs[:1], *reading),
             "check": ("check", chosen.robot, *logs, *reading),
             "identify": (
-                "identify", chosen.robot, *chosen.logs, *validate, *reading,
+                "identify", chosen.robot, *chosen.logs, *others, *reading,
                 *split_words(chosen.options), *effects, "-o", str(self.folder),
             ),
             "view": (
@@ -188,7 +193,7 @@ class Session:
         arguments = self.arguments(step)[1:]
         words = [part for word in arguments for part in (word, word.partition("=")[2]) if part]
         paths = [Path(word) for word in words if word not in robot_names()]
-        for log in map(Path, (*self.choices.logs, *self.choices.validation)):
+        for log in map(Path, self.choices.recordings):
             if step not in ("show", "export") and log.name:
                 paths += [log.with_name(f"{log.name}.toml"), log.with_suffix(".toml")]
         written = {
@@ -203,11 +208,11 @@ class Session:
         chosen = self.choices
         if not chosen.robot:
             return "choose a robot first"
-        if step in ("columns", "check", "identify") and not (chosen.logs or chosen.validation):
+        if step in ("columns", "check", "identify") and not chosen.recordings:
             return "choose a log first"
         if step == "identify":
             if not chosen.logs:
-                return "choose a log to identify with; all are for validation"
+                return "choose a log to identify with"
             return self._find_fault()
         if step in ("view", "export"):
             identified = self.answer("identify")
@@ -274,7 +279,7 @@ class Session:
         log = self.folder / SAMPLE / f"{SAMPLE_ROBOT}.csv"
         words = ("--engine", "inverse-dynamics", "--preset", "lab", "--rate", "250")
         with self._lock:
-            started = self.choices.robot or self.choices.logs or self.choices.validation
+            started = self.choices.robot or self.choices.recordings
             why = "a robot or a log is chosen already" if started else None
             self._begin(SAMPLE, ("simulate", SAMPLE_ROBOT, *words, "-o", str(log)), why)
 
@@ -309,7 +314,7 @@ class Session:
             if document is None or "error" in document:
                 raise UsageError("the columns of the log have not been read")
             sheet = read_options("reading", self.choices.reading).get("--sheet")
-            log = Path((*self.choices.logs, *self.choices.validation)[0])
+            log = Path(self.choices.recordings[0])
             path = self.folder / f"{log.name}.sheet.toml"
             write_sheet(path, log, None if sheet is None else str(sheet), document, chosen)
             self.set_option("reading", "--sheet", str(path))

@@ -232,9 +232,9 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
         return f"Ended after {spent}; {promised} is promised."
     if ending == "with care":
         assert last.tested is not None
-        why = last.tested.verdict.text.partition(";")[0].partition(": ")[2]
         return (
-            f"The error is within {wanted}, but further rounds would not lead to USE: {why}"
+            f"The error is within {wanted}, but further rounds would not lead to USE:"
+            f" {last.tested.caution}"
             f" ({spent}). {_advise(last)}"
         ).strip()
     found = f"{format_share(last.found)} was found in the last round, {promised} is promised"

@@ -98,7 +98,7 @@ class Round:
     @property
     def verdict(self) -> str:
         """Verdict on the model that predicted this round: `yes`, `with care`, `no` or `cad`."""
-        return "cad" if self.tested is None else self.tested.verdict.use
+        return "cad" if self.tested is None else self.tested.use
 
     @property
     def is_known(self) -> bool:
@@ -297,6 +297,8 @@ class Tested:
         The prediction, and the simulations if the model is for a simulator.
     verdict
         Whether to use the model, by this round.
+    purpose
+        What the model is for.
     """
 
     error: float
@@ -304,6 +306,20 @@ class Tested:
     validation: Validation
     rollouts: tuple[Rollout, ...]
     verdict: Verdict
+    purpose: Purpose
+
+    @property
+    def use(self) -> str:
+        """Whether to use the model for its purpose; bodies matter to simulators alone."""
+        verdict = self.verdict
+        return verdict.use if self.purpose == "simulator" else verdict.use_for_torque
+
+    @property
+    def caution(self) -> str:
+        """The weightiest that speaks against the model, in words; empty without."""
+        if self.verdict.use_for_torque == "yes":
+            return self.verdict.bodies.text
+        return self.verdict.text.partition(";")[0].partition(": ")[2]
 
 
 def predict_round(study: Study, recording: Recording, purpose: Purpose) -> Tested:
@@ -316,7 +332,7 @@ def predict_round(study: Study, recording: Recording, purpose: Purpose) -> Teste
         rollouts = asbuilt.roll_out_result(study.result, recording, [HORIZON], options=options)
     verdict = study_verdict(study.result, without_hold_out(study), (validation,), rollouts)
     error = relate_rollout(rollouts[0]) if rollouts else find_torque_error(validation)
-    return Tested(error, validation.metrics_as_built.rms, validation, rollouts, verdict)
+    return Tested(error, validation.metrics_as_built.rms, validation, rollouts, verdict, purpose)
 
 
 def is_simulated(study: Study, purpose: Purpose) -> bool:

@@ -106,9 +106,8 @@ Logs = Annotated[
     list[Path],
     typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags"),
 ]
-Result = Annotated[
-    Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")
-]
+RESULT_HELP = "a result.json that `asbuilt identify --out` wrote, or its folder"
+Result = Annotated[Path, typer.Argument(metavar="RESULT", help=RESULT_HELP)]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
 AsJson = Annotated[
     bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
@@ -289,9 +288,14 @@ def load_described_robot(
     )
 
 
+def is_result(path: str) -> bool:
+    """Return whether a path is of a stored result, or of the folder of one, and no description."""
+    return Path(path).suffix.lower() == ".json" or (Path(path) / "result.json").is_file()
+
+
 def load_robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
-    if Path(robot).suffix.lower() != ".json":
+    if not is_result(robot):
         return load_described_robot(robot, fixed_base=fixed_base)
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
 

@@ -45,7 +45,7 @@ from asbuilt.errors import AsbuiltError, DescriptionError
 from asbuilt.untrusted import describe_problem, parse_toml, read_bytes, read_text
 
 if TYPE_CHECKING:
-    from asbuilt.description.formats.toml_tables import (
+    from asbuilt.description.toml_tables import (
         DHTable,
         LinkTable,
         PlacementTable,
@@ -87,7 +87,7 @@ def robot_from_toml(
             f"{source}: this is not valid TOML: {describe_problem(error)}"
         ) from None
     # Other formats do without: pydantic takes as long to build the tables as to read a robot.
-    from asbuilt.description.formats.toml_tables import (  # noqa: PLC0415 - light start
+    from asbuilt.description.toml_tables import (  # noqa: PLC0415 - light start
         check_robot_file,
     )
 
@@ -182,7 +182,7 @@ class _Reading:
         return joint
 
     def placed_joint(self, link: LinkTable, index: int, parent: int) -> Joint:
-        from asbuilt.description.formats.toml_tables import (  # noqa: PLC0415 - light start
+        from asbuilt.description.toml_tables import (  # noqa: PLC0415 - light start
             PlacementTable,
         )
 

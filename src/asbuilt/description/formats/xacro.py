@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 from dataclasses import replace
@@ -78,6 +79,12 @@ def read_xacro(path: str | Path) -> RobotModel:
         )
     if done.returncode:
         message = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
+        if name := _find_missing_argument(message):
+            raise DescriptionError(
+                f"{path}: xacro needs a value of its argument {name!r}, which has no default",
+                cure=Cure("give it", settings={"xacro": f"{name}=VALUE"}),
+                file=str(path),
+            )
         raise DescriptionError(
             f"{path}: xacro cannot expand it ({shorten_line(message)})",
             cure=Cure(
@@ -89,6 +96,16 @@ def read_xacro(path: str | Path) -> RobotModel:
         )
     with name_file_in_errors(path):
         return replace(read_urdf(done.stdout), source=str(path))
+
+
+def _find_missing_argument(message: str) -> str:
+    """Return the argument of which xacro says that it has none, by its name; empty for others."""
+    found = re.fullmatch(r"'([A-Za-z_][\w-]*)'(?: when evaluating expression '(.*)')?", message)
+    if found is None:
+        return ""
+    # Keys that a dictionary lacks are told alike.
+    of_argument = found[2] is None or f"$(arg {found[1]})" in found[2]
+    return found[1] if of_argument else ""
 
 
 FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,7 +89,9 @@ class BaseParameters:
     `columns` (n_base,) are the first independent columns in id order, counted from 0, `ids =
     columns + 1`; `regrouping` has shape (n_base, n_standard). `expressions` have numbers for
     lengths, `symbolic` has symbols where the description names lengths. `link_joints` has for each
-    link the joint, counted from 0, whose drive moves it relative to its parent.
+    link the joint, counted from 0, whose drive moves it relative to its parent. `standard` has a
+    verdict on every standard parameter. Texts are derived when they are first read, by
+    `symbolic_rows` and `verdicts`: most drive sets of a study are tried and never shown.
     """
 
     robot: str
@@ -97,10 +100,9 @@ class BaseParameters:
     standard_units: tuple[str, ...]
     columns: Indices
     regrouping: Array
-    expressions: tuple[str, ...]
-    symbolic: tuple[str, ...]
-    standard: tuple[StandardParameter, ...]
     link_joints: tuple[int, ...]
+    symbolic_rows: Callable[[], list[Row]]
+    verdicts: Callable[[], tuple[StandardParameter, ...]]
 
     def __post_init__(self) -> None:
         self.columns.setflags(write=False)
@@ -121,6 +123,27 @@ class BaseParameters:
             f" {self.n_standard} standard ones"
         )
         return Table(columns, rows, title=title, important=tuple(range(min(SHOWN, self.n_base))))
+
+    @cached_property
+    def expressions(self) -> tuple[str, ...]:
+        """Each base parameter as a sum of standard ones, in numbers."""
+        return self._write_sums(_list_numbers(self.regrouping))
+
+    @cached_property
+    def symbolic(self) -> tuple[str, ...]:
+        """Each base parameter as a sum of standard ones, with symbols for lengths."""
+        return self._write_sums(self.symbolic_rows())
+
+    @cached_property
+    def standard(self) -> tuple[StandardParameter, ...]:
+        """The verdict on every standard parameter, in id order."""
+        return self.verdicts()
+
+    def _write_sums(self, rows: Sequence[Row]) -> tuple[str, ...]:
+        return tuple(
+            _write_sum(row, column, self.standard_names)
+            for row, column in zip(rows, self.columns, strict=True)
+        )
 
     @property
     def n_standard(self) -> int:
@@ -207,17 +230,17 @@ def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
     with use_one_blas_thread():
         if by_numbers:
             columns, matrix = regroup_numerically(model, drive)
-            verdicts = classify_numerically(model, columns, matrix, names)
+            verdicts = partial(classify_numerically, model, columns, matrix, names)
+            symbolic_rows = partial(_list_numbers, matrix)
         else:
             found = regroup_structurally(model, drive)
             columns = found.columns
             matrix = found.matrix
-            verdicts = parameter_verdicts(model, drive, found, names)
+            verdicts = partial(parameter_verdicts, model, drive, found, names)
+            symbolic_rows = partial(regroup_symbolically, model, drive, found)
         numeric = observation_rank(model, drive)
         if numeric.rank != len(columns):
             raise IdentifiabilityError(_describe_disagreement(model, drive, len(columns), numeric))
-        rows = [{int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)} for row in matrix]
-        symbolic = rows if by_numbers else regroup_symbolically(model, drive, found)
     return BaseParameters(
         robot=model.name,
         drive=drive,
@@ -225,14 +248,9 @@ def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
         standard_units=parameter_units(model, drive),
         columns=columns,
         regrouping=matrix,
-        expressions=tuple(
-            _write_sum(row, column, names) for row, column in zip(rows, columns, strict=True)
-        ),
-        symbolic=tuple(
-            _write_sum(row, column, names) for row, column in zip(symbolic, columns, strict=True)
-        ),
-        standard=verdicts,
         link_joints=model.link_joints,
+        symbolic_rows=symbolic_rows,
+        verdicts=verdicts,
     )
 
 
@@ -250,6 +268,11 @@ def _describe_disagreement(
         " angles and lengths near zero exactly"
         + ("; or two drive terms have the same effect" if len(drive.terms) > 1 else "")
     )
+
+
+def _list_numbers(matrix: Array) -> list[Row]:
+    """Return the rows of a regrouping as sums over standard parameters, in numbers."""
+    return [{int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)} for row in matrix]
 
 
 def _write_sum(row: Row, kept: int, names: tuple[str, ...]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from asbuilt.dynamics.base.symbols import (
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.parameters import parameter_count
 
+DRIVES_KEPT = 8
+"""Robots and kinds of drives whose relations are remembered: a study tries a dozen sets of terms of
+two or three kinds."""
 IMITABLE = ("qdd", "1", "sin(q)", "cos(q)")
 """Elementary functions that links can imitate, in the order of the changes of
 `RegroupingRelations`.
@@ -109,7 +113,7 @@ def decompose_drive(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
 
 
 def find_realisable_sums(
-    directions: list[RegroupingRelations], structure: DriveStructure
+    directions: Sequence[RegroupingRelations], structure: DriveStructure
 ) -> tuple[Array, Array, Array]:
     """Return which sums of all directions the armatures at hand can make.
 
@@ -194,7 +198,7 @@ def regroup_structurally(model: RobotModel, drive: DriveSet) -> Regrouping:
     structure = decompose_drive(
         model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints])
     )
-    directions, motions = regrouping_relations(model, structure.imitable)
+    directions, motions = _relate_links(model, structure.imitable.tobytes())
     to_link = [
         shift_matrix(invert_placement(_scale_translation(joint.after, size)))
         for joint in model.joints
@@ -220,14 +224,24 @@ def regroup_structurally(model: RobotModel, drive: DriveSet) -> Regrouping:
     return Regrouping(
         columns=columns,
         matrix=matrix,
-        directions=tuple(directions),
-        motions=tuple(motions),
+        directions=directions,
+        motions=motions,
         null_blocks=tuple(blocks),
         axial_blocks=tuple(AXIAL @ shift.T for shift in to_link),
         size=size,
         model=model,
         structure=structure,
     )
+
+
+@lru_cache(maxsize=DRIVES_KEPT)
+def _relate_links(
+    model: RobotModel, imitable: bytes
+) -> tuple[tuple[RegroupingRelations, ...], tuple[LinkMotion, ...]]:
+    """Return the relations of links, remembered: most drives let links imitate the same."""
+    flags = np.frombuffer(imitable, dtype=bool).reshape(model.n_joints, -1)
+    directions, motions = regrouping_relations(model, flags)
+    return tuple(directions), tuple(motions)
 
 
 def regroup_symbolically(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
@@ -379,7 +393,7 @@ def _build_null_blocks(
 def _realise_null_vectors(
     model: RobotModel,
     drive: DriveSet,
-    directions: list[RegroupingRelations],
+    directions: Sequence[RegroupingRelations],
     blocks: Sequence[Array],
     structure: DriveStructure,
 ) -> list[Array]:

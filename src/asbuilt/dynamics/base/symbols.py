@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from math import prod
 
 import numpy as np
@@ -25,6 +26,8 @@ from asbuilt.dynamics.base.regrouping_relations import (
 NUMBER = ""
 """The symbol that stands for 1, so that a plain length is a sum of symbols, too."""
 
+ROBOTS_KEPT = 4
+"""Robots whose slid frames are remembered, since many drives are asked of one."""
 LENGTH_TOLERANCE = 1e-12
 """Symbols must stand for the lengths of a placement to this [m]."""
 
@@ -52,6 +55,7 @@ def symbolic_translation(
     return tuple(((float(value), NUMBER),) if value else () for value in translation)
 
 
+@lru_cache(maxsize=ROBOTS_KEPT)
 def slide_joint_frames(model: RobotModel) -> RobotModel:
     """Return the same robot with every joint frame slid along its axis.
 

@@ -98,7 +98,9 @@ def _evaluate_shared_terms(
     column = 0
     for term in drive.terms:
         s = len(term.symbols)
-        joints = [k for k in range(q.shape[1]) if term.is_at(k)]
+        at = [k for k in range(q.shape[1]) if term.is_at(k)]
+        # Most terms are at every joint: a slice copies nothing.
+        joints = slice(None) if len(at) == q.shape[1] else at
         own = values[joints, column : column + s]
         column = column + s
         # some samples at a time, so that a long recording takes no memory for its columns
@@ -107,7 +109,8 @@ def _evaluate_shared_terms(
             state = (q[part], qd[part], qdd[part], None if load is None else load[part])
             columns = np.empty((s, *state[0].shape))
             term.evaluate(*state, columns)
-            torque[part, joints] += np.einsum("smk,ks->mk", columns[:, :, joints], own)
+            for column_of_term, factors in zip(columns[:, :, joints], own.T, strict=True):
+                torque[part, joints] += column_of_term * factors
     return torque
 
 

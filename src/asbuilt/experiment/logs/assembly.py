@@ -156,7 +156,10 @@ def build_recording(
         listed = f"; columns without a meaning are {', '.join(others)}" if others else ""
         raise RecordingError(
             f"{table.source} has no time column and no rate is given{listed}",
-            cure=Cure("give the rate in Hz, here or as rate = ... in a recording sheet"),
+            cure=Cure(
+                "give the rate in Hz, or write rate = ... in a recording sheet",
+                settings={"rate": "HZ"},
+            ),
             file=table.source,
         )
     else:
@@ -245,8 +248,8 @@ def keep_windows(recording: Recording, sheet: RecordingSheet) -> Recording:
     if not sheet.windows:
         return recording
     inside = sheet.in_windows(recording.t, float(recording.t[0]))
-    kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
-    note = f"{kept.n_samples} of {inside.size} samples lie in the time windows of the sheet"
+    kept = recording.taken(inside, "no sample lies in the time windows that are kept")
+    note = f"{kept.n_samples} of {inside.size} samples lie in the time windows that are kept"
     return replace(kept, notes=(*kept.notes, note))
 
 

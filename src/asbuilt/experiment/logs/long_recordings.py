@@ -70,6 +70,7 @@ def stream_recording(
     chosen = merge_reading_options(options, settings)
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
+    sheet = chosen.with_windows(sheet)
     whole_first = sheet.files.position is not None or sheet.sign == "command"
     stream = None
     if not whole_first and path.suffix != ".toml":

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.description.joint_matching import names_gripper
+from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.assembly import (
@@ -166,7 +167,7 @@ def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet
 def read_recording(
     source: PathLike | Sequence[PathLike] | Any,
     *,
-    model: RobotModel | None = None,
+    model: RobotModel | PathLike | None = None,
     options: ReadingOptions | None = None,
     **settings: Any,
 ) -> Recording:
@@ -179,7 +180,8 @@ def read_recording(
         quantity each, a pandas or polars data frame, or a dict of arrays, such as `{"t": (N,),
         "q": (N, n), "tau": (N, n)}`.
     model
-        Robot whose joints order the columns, matched by name if the log has joint names.
+        Robot whose joints order the columns, matched by name if the log has joint names: a model,
+        the name of a bundled robot, or the path of a description.
     options, **settings
         How to read it: `ReadingOptions`, or single fields of it, such as `rate=100.0`.
 
@@ -202,6 +204,7 @@ def read_recording(
     [[3.0], [6.0]]
     """
     chosen = merge_reading_options(options, settings)
+    model = model if model is None or isinstance(model, RobotModel) else load_robot(model)
     if is_columns(source):
         sheet, notes = find_sheet(None, chosen.sheet)
         table = tabulate_columns(source)
@@ -216,6 +219,7 @@ def read_recording(
         table = read_table(paths, sheet)
         if len(paths) == 1 and not table.known:
             _refuse_lone_role_file(paths[0], table)
+    sheet = chosen.with_windows(sheet)
     layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
     table = LogMender(layout, sheet.zero).mend(table)
     rate = chosen.rate if chosen.rate is not None else sheet.rate

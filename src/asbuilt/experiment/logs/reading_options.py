@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.sheet import GAINS, RANGES, RATES, RecordingSheet
+from asbuilt.experiment.logs.sheet import GAINS, RANGES, RATES, RecordingSheet, SheetWindow
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
 from asbuilt.ranges import Range, check_ranges, make_range_error
 from asbuilt.registry import divide_settings
@@ -28,6 +28,21 @@ def _parse_numbers(text: str) -> tuple[float, ...]:
     if not all(map(math.isfinite, values)):
         raise ValueError(text)
     return values
+
+
+def parse_windows(text: str) -> tuple[tuple[float, float], ...]:
+    """Return windows of time [s] that are kept, an end that is not given is that of the log.
+
+    >>> parse_windows("5:60,80:")
+    ((5.0, 60.0), (80.0, inf))
+    """
+    windows = []
+    for part in text.split(","):
+        start, colon, stop = part.partition(":")
+        if not colon:
+            raise ValueError(part)
+        windows.append((float(start or 0.0), float(stop or math.inf)))
+    return tuple(windows)
 
 
 def parse_servo_numbers(text: str) -> tuple[float, ...]:
@@ -55,6 +70,9 @@ class ReadingOptions:
     sheet
         Recording sheet that describes the log: a path, a `RecordingSheet`, or a dict with the
         fields of one; by default the one next to the log.
+    window
+        Segments of the log to keep, each from start to stop [s] after the first sample; a text
+        `START:STOP,...` does too. Replaces the sheet's windows.
     lock
         Joints that are not identified, with their positions [rad or m], None where unknown; a text
         `JOINT[=VALUE],...` does too. Added to the sheet's. `fitted_recordings` locks them.
@@ -132,6 +150,15 @@ class ReadingOptions:
             "help": "recording sheet (TOML) that describes the logs",
             "metavar": "FILE",
             "parse": Path,
+        },
+    )
+    window: Sequence[tuple[float, float]] | str | None = field(
+        default=None,
+        metadata={
+            "help": "segments of the log to keep, in seconds after its first sample; an end left"
+            " out is that of the log",
+            "metavar": "START:STOP,...",
+            "parse": parse_windows,
         },
     )
     lock: Mapping[str, float | None] | str | None = field(
@@ -243,6 +270,18 @@ class ReadingOptions:
     )
 
     @property
+    def windows(self) -> tuple[tuple[float, float], ...]:
+        """Start and stop of each segment to keep [s]; none where all is kept."""
+        return () if self.window is None else make_windows(self.window)
+
+    def with_windows(self, sheet: RecordingSheet) -> RecordingSheet:
+        """Return a sheet whose windows are those given here, if any are."""
+        if self.window is None:
+            return sheet
+        windows = [SheetWindow(start=start, stop=stop) for start, stop in self.windows]
+        return sheet.model_copy(update={"windows": windows})
+
+    @property
     def of_base(self) -> dict[str, Any]:
         """The options that concern the base of the robot, by name."""
         return {name: getattr(self, name) for name in ("fixed_base", "free_base", "contacts")}
@@ -266,6 +305,8 @@ class ReadingOptions:
         if self.gain is not None:
             gains = np.atleast_1d(np.asarray(self.gain, dtype=np.float64))
             object.__setattr__(self, "gain", tuple(gains.ravel().tolist()))
+        if self.window is not None:
+            object.__setattr__(self, "window", make_windows(self.window))
         if isinstance(self.lock, str):
             object.__setattr__(self, "lock", locks_from_text(self.lock))
         if self.gravity is not None:
@@ -273,6 +314,24 @@ class ReadingOptions:
         if isinstance(self.sheet, Mapping):
             object.__setattr__(self, "sheet", RecordingSheet.model_validate(dict(self.sheet)))
         check_ranges(self)
+
+
+def make_windows(
+    given: Sequence[tuple[float, float]] | str,
+) -> tuple[tuple[float, float], ...]:
+    """Return windows, of their text too; raises `UsageError` for what is no segment of time."""
+    try:
+        pairs = parse_windows(given) if isinstance(given, str) else given
+        windows = tuple((float(start), float(stop)) for start, stop in pairs)
+    except (TypeError, ValueError):
+        windows = ()
+    if not windows or not all(0.0 <= start < stop for start, stop in windows):
+        raise UsageError(
+            "window is segments of the log from START to STOP in seconds, such as 5:60 or"
+            f" 5:60,80:; got {given!r}",
+            value=given,
+        )
+    return windows
 
 
 def parse_gravity(given: ArrayLike | str) -> tuple[float, float, float]:

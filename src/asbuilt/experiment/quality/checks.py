@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import PurePath
+from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.description.plausibility import check_plausibility, list_corrections
 from asbuilt.description.structure.locking import report_locks
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, take_first_samples
+from asbuilt.experiment.logs.reading_options import merge_reading_options
+from asbuilt.experiment.logs.recordings import RecordingLike, read_fitted_recordings
 from asbuilt.experiment.quality.clock_checks import check_clock
 from asbuilt.experiment.quality.command_checks import check_commands
 from asbuilt.experiment.quality.motion_checks import (
@@ -53,6 +57,7 @@ from asbuilt.experiment.quality.unit_checks import (
     report_position_unit,
 )
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
 from asbuilt.tables import preformat, wrap_text
 
@@ -204,7 +209,21 @@ class RecordingCheck:
             )
 
 
-def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:
+def _read_one(
+    robot: RobotModel | str | Path, item: RecordingLike, settings: Mapping[str, Any]
+) -> tuple[RobotModel, Recording | RecordingStream]:
+    """Return a robot as it was recorded, and its one recording."""
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    options = merge_reading_options(None, settings)
+    model, (found,) = read_fitted_recordings(model, (item,), options)
+    if len(found) != 1 or isinstance(found[0], Samples):
+        raise UsageError("check_recording takes one recording; check several one by one")
+    return model, found[0]
+
+
+def check_recording(
+    model: RobotModel | str | Path, recording: RecordingLike, **settings: Any
+) -> RecordingCheck:
     """Check clock, missing values, units, signs, order of joints, limits, filters and excitation.
 
     Where the clock is wrong, only the clock and missing values are checked. A stream is read
@@ -213,9 +232,11 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     Parameters
     ----------
     model
-        The robot that was recorded.
+        The robot that was recorded, the name of a bundled one, or the path of a description.
     recording
-        Its recording, with the joints of `model`.
+        Its recording, with the joints of `model`, or what holds one, as for `identify`.
+    **settings
+        How a file, a data frame or a dict is read: single fields of `ReadingOptions`.
 
     Returns
     -------
@@ -225,7 +246,9 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     Raises
     ------
     RecordingError
-        If the recording's joints are not the model's.
+        If the recording's joints are not the model's, or a file cannot be read.
+    UsageError
+        If several recordings are given.
 
     Examples
     --------
@@ -237,6 +260,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     >>> check_recording(model, recording.flipped()).errors[0].code
     'torque_flipped'
     """
+    if not (isinstance(model, RobotModel) and isinstance(recording, Recording | RecordingStream)):
+        return check_recording(*_read_one(model, recording, settings))
     # A stream of a robot with a free base is checked as one with a held base.
     if model.n_floating and not isinstance(recording, RecordingStream):
         return _check_of_free_base(model, recording)

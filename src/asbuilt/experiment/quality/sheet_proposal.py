@@ -82,7 +82,7 @@ class SheetProposal:
 
 
 def propose_sheet(
-    model: RobotModel, paths: Sequence[Path], options: ReadingOptions | None = None
+    model: RobotModel, files: Sequence[str | Path], options: ReadingOptions | None = None
 ) -> SheetProposal:
     """Return the sheet with which a log can be read, and the check of the log as read with it.
 
@@ -94,7 +94,7 @@ def propose_sheet(
     ----------
     model
         Robot as described.
-    paths
+    files
         The log: a file, a folder, or files of one quantity each.
     options
         How it is read.
@@ -105,6 +105,7 @@ def propose_sheet(
         The sheet, complete: columns, units, clock and sign.
     """
     chosen = options or ReadingOptions()
+    paths = [Path(path) for path in files]
     given, _ = find_sheet(paths[0], chosen.sheet)
     # Fields that the log's own sheet gives are no proposal.
     content = given.model_dump(exclude_unset=True, exclude_none=True)
@@ -157,6 +158,12 @@ def _state_options(
     if options.torque_source is not None:
         stated["torque_source"] = options.torque_source
         left = replace(left, torque_source=None)
+    if options.window is not None:
+        stated["windows"] = [
+            {"start": start, "stop": stop} if math.isfinite(stop) else {"start": start}
+            for start, stop in options.windows
+        ]
+        left = replace(left, window=None)
     if options.flip_torque and "sign" not in stated:
         stated["sign"] = -1
         left = replace(left, flip_torque=False)

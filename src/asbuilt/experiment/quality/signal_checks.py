@@ -14,11 +14,15 @@ from asbuilt.experiment.command.magnitude import (
     fit_magnitude_laws,
     is_magnitude,
 )
+from asbuilt.experiment.quality.motion_checks import FEWEST_ALIKE
 from asbuilt.experiment.quality.passes import FirstPass, SecondPass
 from asbuilt.experiment.quality.reductions import Extremes
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.findings import Cure, Finding, join_names
+
+EXCEEDED = 1.2
+"""Multiple of a torque limit that no drive gives: sensors and filters overshoot by less."""
 
 
 def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
@@ -56,6 +60,9 @@ def check_saturation(
     An extreme of zero is none: magnitudes rest there.
     """
     n_changed = recording.repeats.n_changed
+    doubted = _doubt_torque_limits(model, recording)
+    if doubted is not None:
+        yield doubted
     for k, joint in enumerate(model.joints):
         for plateau in closer.plateaus[k]:
             flat = plateau.places.size
@@ -81,6 +88,7 @@ def check_saturation(
         over = int(recording.saturated.count[k])
         # Currents have no limit in the description's unit.
         stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
+        stated = stated and doubted is None
         # From half of the samples on the limit itself is doubted elsewhere.
         if closer.plateaus[k] and stated and 3 <= over < 0.5 * n_changed:
             yield Finding(
@@ -92,6 +100,28 @@ def check_saturation(
                 joint=joint.name,
                 time=float(recording.saturated.time[k]),
             )
+
+
+def _doubt_torque_limits(model: RobotModel, recording: FirstPass) -> Finding | None:
+    """Return that one number is the torque limit of every joint, which the log exceeds."""
+    limits = np.array([joint.limits.torque for joint in model.joints])
+    known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
+    current = recording.first.torque_source == "current"
+    if current or known.size < FEWEST_ALIKE or np.ptp(limits[known]) > 0.0:
+        return None
+    # Joints that stay below their limits have no value.
+    reached = np.where(recording.saturated.count > 0, np.abs(recording.saturated.value), 0.0)[known]
+    k = int(np.argmax(reached))
+    if reached[k] < EXCEEDED * limits[known[k]]:
+        return None
+    return Finding(
+        "limits_doubted",
+        "info",
+        f"every limit of torque of {model.name} is {limits[known[k]]:.4g}, and"
+        f" {model.joint_names[known[k]]} has {reached[k]:.4g}: they look like placeholders, and"
+        " say nothing of the log",
+        Cure("write the true limits into the description"),
+    )
 
 
 def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:

@@ -14,10 +14,14 @@ from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.recording import UNWRAPPED
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.tables import round_significant
 
-COUNTS = tuple(2**k for k in range(9, 21))
-"""Counts of a turn of encoders and servos."""
+COUNTS = (*(2**k for k in range(9, 21)), *(36 * 10**k for k in range(2, 5)))
+"""Counts of a turn of encoders and servos, and of whole parts of a degree."""
+BETWEEN = tuple(2.0 ** (k / 16.0) for k in range(-8, 9) if k)
+"""Factors on the counts of a turn that are tried beside those known: gears multiply them."""
 EXPLAINS = 0.5
 """Share of the torques that gravity, inertia and friction must explain to decide the counts."""
 CLEARLY_LESS = 0.7
@@ -48,12 +52,18 @@ KNOWN_VELOCITIES = {
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Say in what counts positions are: counts of a turn, 0 where unknown, and the one of zero."""
+    """Say in what counts positions are: counts of a turn, 0 where unknown, and the one of zero.
+
+    `about` are the counts of a turn that the torques show where they are none that is usual,
+    `alike` usual ones that the torques do not tell apart.
+    """
 
     turn: int
     zero: int
     largest: float
     joints: tuple[str, ...]
+    about: float = 0.0
+    alike: tuple[int, ...] = ()
 
     def finding(self) -> Finding:
         """Return the finding for a log whose positions are counts."""
@@ -61,6 +71,14 @@ class Counts:
             f"the positions of {join_names(list(self.joints))} are whole numbers up to"
             f" {self.largest:.6g}: counts of an encoder"
         )
+        if self.about:
+            said += (
+                f"; the torques agree with about {round_significant(self.about, 2)} of a turn at"
+                " the joint, as gears make of an encoder's"
+            )
+        if len(self.alike) > 1:
+            turns = " and ".join(map(str, self.alike))
+            said += f"; the torques agree with {turns} of a turn alike"
         if not self.turn:
             return Finding(
                 "position_counts",
@@ -116,10 +134,36 @@ def find_counts(
     if not ranked or left[ranked[0]] > 1.0 - EXPLAINS:
         return Counts(0, 0, largest, names)
     best = ranked[0]
+    alike = [each for each in ranked if left[best] > CLEARLY_LESS * left[each]]
+    # Where positions start again a turn ends.
+    ends = [each for each in alike if _is_near(each[0], _find_wrap(recording))]
+    best = ends[0] if ends else best
     # Two counts that explain about as much leave the turn open.
-    if len(ranked) > 1 and left[best] > CLEARLY_LESS * left[ranked[1]]:
-        return Counts(0, 0, largest, names)
+    if len(alike) > 1 and not ends:
+        turns = tuple(dict.fromkeys(turn for turn, _ in alike))
+        return Counts(0, 0, largest, names, alike=turns)
+    others = {
+        factor: _measure_left_over(model, motion, 2.0 * np.pi / (factor * best[0]), best[1])
+        for factor in BETWEEN
+    }
+    nearest = min(others, key=lambda factor: others[factor])
+    # So do counts that none of those known is near.
+    if others[nearest] < CLEARLY_LESS * left[best]:
+        return Counts(0, 0, largest, names, about=nearest * best[0])
     return Counts(best[0], best[1], largest, names)
+
+
+def _find_wrap(recording: FirstPass) -> float:
+    """Return the count at which positions started again, 0 where they were not unwrapped."""
+    for note in recording.first.notes:
+        if note.startswith(UNWRAPPED):
+            return float(note.removeprefix(UNWRAPPED).split()[0])
+    return 0.0
+
+
+def _is_near(turn: int, wrap: float) -> bool:
+    # Notes have six digits.
+    return abs(turn - wrap) < 1e-5 * turn
 
 
 KNOWN_POSITIONS = {

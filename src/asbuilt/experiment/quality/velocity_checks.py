@@ -196,6 +196,7 @@ def _check_ends(
     error = np.abs(logged - motion.qd)
     inner = np.sqrt(np.mean(error[width:-width] ** 2, axis=0))
     spread = np.std(motion.qd, axis=0)
+    disturbed: dict[str, tuple[int, float]] = {}
     for name, part in (("first", slice(0, width)), ("last", slice(-width, None))):
         worst = np.max(error[part], axis=0)
         # Much more than inside, and a share of the motion that matters.
@@ -203,14 +204,18 @@ def _check_ends(
         # Most joints: a filter disturbs all of them.
         if len(bad) * 2 > len(moving):
             k = max(bad, key=lambda k: worst[k] / spread[k])
-            window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"
-            yield Finding(
-                "end_transient",
-                "warning",
-                f"in the {name} {end:g} s the logged velocity of {recording.first.joint_names[k]}"
-                f" differs from the derivative of its position by up to {worst[k]:.3g} rad/s,"
-                f" elsewhere by {inner[k]:.2g} rad/s, as at the end of a filtered signal",
-                Cure(f"cut the {name} half second in a recording sheet: [[windows]] {window}"),
-                joint=recording.first.joint_names[k],
-                time=recording.clock.first if name == "first" else recording.clock.last - end,
-            )
+            disturbed[name] = k, float(worst[k])
+    # One window cuts both ends, whichever finding is followed.
+    start = "0.5" if "first" in disturbed else ""
+    stop = f"{recording.duration - 0.5:.4g}" if "last" in disturbed else ""
+    for name, (k, size) in disturbed.items():
+        yield Finding(
+            "end_transient",
+            "warning",
+            f"in the {name} {end:g} s the logged velocity of {recording.first.joint_names[k]}"
+            f" differs from the derivative of its position by up to {size:.3g} rad/s,"
+            f" elsewhere by {inner[k]:.2g} rad/s, as at the end of a filtered signal",
+            Cure(f"cut the {name} half second", {"window": f"{start}:{stop}"}),
+            joint=recording.first.joint_names[k],
+            time=recording.clock.first if name == "first" else recording.clock.last - end,
+        )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description import LinkInertia, RobotModel
+from asbuilt.description import LinkInertia, RobotModel, load_robot
 from asbuilt.dynamics import (
     DriveSet,
     gravity_torque,
@@ -28,7 +29,7 @@ from asbuilt.findings import Cure
 
 
 def simulate_recording(
-    model: RobotModel,
+    model: RobotModel | str | Path,
     motion: Motion,
     *,
     rate: float = 1000.0,
@@ -46,7 +47,7 @@ def simulate_recording(
     Parameters
     ----------
     model
-        The robot.
+        The robot, the name of a bundled one, or the path of a description.
     motion
         The motion, followed exactly.
     rate
@@ -75,6 +76,7 @@ def simulate_recording(
     >>> simulate_recording(bundled_robot("kuka-iiwa7-r800"), motion, rate=100).tau.shape
     (201, 7)
     """
+    model = model if isinstance(model, RobotModel) else load_robot(model)
     robot = VirtualRobot.ideal(model)
     if drive is not None:
         known = parameter_values(model, drive)[len(model.parameters) :]

@@ -50,6 +50,11 @@ class FeasibleRegion:
         Passive drives, and whatever else is certain or stated.
     quantile
         Of chi-square, which sets the level.
+    chosen
+        Standard parameters (n_standard,) of a robot that belongs to the bodies wherever it meets
+        the bounds, with all between it and them; None if there is none. A fit that is held near CAD
+        or consistent may lie farther from least squares than errors allow; where it was chosen
+        since it predicts other motion no worse, the data do not exclude it.
     """
 
     prior: CadPrior
@@ -58,6 +63,7 @@ class FeasibleRegion:
     root: Array
     bounds: BodyBounds
     quantile: float
+    chosen: Array | None = None
 
     @cached_property
     def _problem(self) -> ConicProblem:
@@ -120,7 +126,18 @@ class FeasibleRegion:
         size = ROUNDING * self._measure_size(value)
         least, greatest = (0.0 if divisor is None and abs(x) < size else x for x in ends)
         # Rounding of two solves can turn a point's ends around.
-        return least, max(least, greatest)
+        greatest = max(least, greatest)
+        if self.chosen is None or not self.holds(self.chosen):
+            return least, greatest
+        # The least of a convex set and a point is that of either, for ratios, too.
+        own = float(value @ self.chosen)
+        if divisor is not None:
+            own /= float(divisor @ self.chosen)
+        return min(least, own), max(greatest, own)
+
+    def holds(self, parameters: Array) -> bool:
+        """Return whether parameters (n_standard,) meet the linear bounds, but for rounding."""
+        return bool(np.all(self.bounds.wider(ROUNDING, parameters).slack(parameters) >= 0.0))
 
     def find_estimate(self, value: Array) -> tuple[float, float] | None:
         """Return `value @ chi` with its standard error if the data determine it, else None.

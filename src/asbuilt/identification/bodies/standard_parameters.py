@@ -40,7 +40,7 @@ from asbuilt.scaled import Scaled
 
 # Least part of CAD at which base parameters are kept exactly; below, rounding decides
 STANDARD_EXACT_PART = 1e-6
-# Torque in standard errors of beta beyond which beta is kept exactly (simulations)
+# Torque in its noise beyond which beta is kept exactly: no chi-square could be kept (simulations)
 STANDARD_SHARPEST = 1e7
 # Weight of the logarithmic barrier of that fit, far below the usual one
 STANDARD_FINE_BARRIER = 1e-12
@@ -52,8 +52,10 @@ STANDARD_RELATIVE_RESOLUTION = 1e-3
 
 
 LIMIT = 1.0
-"""Largest chi-square of the parameters closest to CAD: no torque, and no other combination of base
-parameters, then moves by more than one standard error of its own (Scheffe's bound).
+"""Largest squared torque, over all samples together and in noise variances, by which the parameters
+closest to CAD may move the torques of the data. Residuals are correlated, so that standard errors
+are several times those of the noise alone: within *them*, exports of short logs predicted other
+motion by up to half worse than the estimate did.
 """
 
 
@@ -86,8 +88,8 @@ class StandardParameters:
     notes
         What was corrected or guessed in CAD.
     chi_square, limit
-        Chi-square of `beta` from the requested one, and its limit, if the parameters are those
-        closest to CAD within the uncertainty; else 0.
+        Squared torque of `beta` beside the requested one on the data used, in noise variances, and
+        its limit, if the parameters are those closest to CAD within the noise; else 0.
     """
 
     parameters: Array
@@ -130,8 +132,8 @@ class StandardParameters:
             )
         if self.limit:
             return (
-                "physically consistent standard parameters closest to CAD within the standard"
-                f" errors (chi-square {self.chi_square:.3g}, limit {self.limit:.3g}), torque"
+                "physically consistent standard parameters closest to CAD within the noise of the"
+                f" data used (chi-square {self.chi_square:.3g}, limit {self.limit:.3g}), torque"
                 f" {moved:.2g} N m RMS from the identified one in random motion (of {whole:.3g}"
                 f" N m); {margin}"
             )
@@ -152,13 +154,12 @@ def find_standard_parameters(
     *,
     nearest: bool = False,
     information: ArrayLike | None = None,
-    uncertainty_root: Array | None = None,
 ) -> StandardParameters:
     """Return the standard parameters with `K chi = beta` of least divergence from CAD.
 
-    With `uncertainty_root` and a consistent beta, they have the least divergence from CAD among
-    all whose base parameters are within the uncertainty of beta: what torques do not determine
-    stays near CAD.
+    With `information` and a consistent beta, they have the least divergence from CAD among all that
+    move the torques of the data by less than their noise: what torques do not determine stays near
+    CAD.
 
     If beta is inconsistent, either it is kept with the inconsistent links closest to CAD in the
     metric there, or (`nearest`) the nearest consistent beta with passive drives takes its place.
@@ -176,11 +177,9 @@ def find_standard_parameters(
     nearest
         Whether the nearest consistent beta replaces an inconsistent one.
     information
-        Matrix A (p, p) of the distance `(K chi - beta)^T A (K chi - beta)`: the information of the
-        data used, or of random motion by default.
-    uncertainty_root
-        R (r, p) with `R^T R` the inverse covariance of beta; the limit of the chi-square
-        `|R (K chi - beta)|^2` is `LIMIT`.
+        Matrix A (p, p) of the distance `(K chi - beta)^T A (K chi - beta)`, whose limit is `LIMIT`:
+        the information of the data used, torque in units of its noise. None: a consistent beta is
+        kept exactly, an inconsistent one is measured in random motion.
 
     Raises
     ------
@@ -224,14 +223,11 @@ def find_standard_parameters(
         )
         chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
     plausible = None
-    # A beta that is sharper than rounding is kept exactly, as in simulations.
-    if (
-        (exact and uncertainty_root is not None and not np.any(alone < 0.0))
-        and len(uncertainty_root)
-        # Torque in standard errors: beyond rounding no chi-square could be kept.
-        and np.linalg.norm(uncertainty_root @ asked) <= STANDARD_SHARPEST
-    ):
-        plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
+    if exact and information is not None and not np.any(alone < 0.0):
+        root = Scaled(np.asarray(information, dtype=np.float64)).root
+        # A beta that is sharper than rounding is kept exactly, as in simulations.
+        if len(root) and np.linalg.norm(root @ asked) <= STANDARD_SHARPEST:
+            plausible = find_plausible_parameters(cad, base, asked, root, LIMIT)
     chi = (
         plausible[0]
         if plausible is not None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, StandardParameter, find_base_parameters
+from asbuilt.dynamics.base.symbols import Polynomial
 from asbuilt.dynamics.drives.torque import list_coupled_motor_terms
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
@@ -325,19 +326,17 @@ def _combine_sides(
     regrouping[:p, :first] = base.regrouping
     regrouping[p:, first:] = np.eye(m)
     why = "the difference between motor and sensor torque holds the motor side alone"
+    verdicts = [
+        StandardParameter(first + j + 1, name, "identifiable", (first + j + 1,), f"{name}: {why}")
+        for j, name in enumerate(names)
+    ]
+    alone = [{first + j: Polynomial.number(1.0)} for j in range(m)]
     return replace(
         base,
         standard_names=base.standard_names + names,
         standard_units=base.standard_units + units,
         columns=np.concatenate([base.columns, np.arange(first, first + m)]),
         regrouping=regrouping,
-        expressions=base.expressions + names,
-        symbolic=base.symbolic + names,
-        standard=base.standard
-        + tuple(
-            StandardParameter(
-                first + j + 1, name, "identifiable", (first + j + 1,), f"{name}: {why}"
-            )
-            for j, name in enumerate(names)
-        ),
+        symbolic_rows=partial(list, [*base.symbolic_rows(), *alone]),
+        verdicts=partial(tuple, [*base.standard, *verdicts]),
     )

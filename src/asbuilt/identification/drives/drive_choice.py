@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearPlace, fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.families.drive_terms import DriveEffect
+from asbuilt.identification.effects.families.drive_terms import DriveEffect, drop_terms
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.estimators.held_out_choice import (
     group_neighbours,
@@ -48,6 +48,24 @@ class DriveChoice:
     sentences: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     fitted: tuple[NonlinearPlace, ...] = ()
+
+    def without(
+        self, places: Collection[tuple[str, str]], joint_names: Sequence[str]
+    ) -> DriveChoice:
+        """Return the choice without terms of some keys at some joints, by name."""
+        drive = drop_terms(self.drive, places, joint_names)
+        gone = set(self.drive.keys) - set(drive.keys)
+        return replace(
+            self,
+            drive=drive,
+            # What was fitted for terms that no joint has any more is no reason.
+            sentences=tuple(
+                sentence
+                for sentence in self.sentences
+                if not any(f" of {key}, fitted" in sentence for key in gone)
+            ),
+            fitted=tuple(place for place in self.fitted if place.is_of(drive)),
+        )
 
 
 def settle_drive(

@@ -331,6 +331,10 @@ class NonlinearPlace:
     parameter: str
     joint: int
 
+    def is_of(self, drive: DriveSet) -> bool:
+        """Return whether a set has the term at the joint."""
+        return any(term.key == self.term and term.is_at(self.joint) for term in drive.terms)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NonlinearErrors:

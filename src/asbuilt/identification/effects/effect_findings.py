@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtri
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics import BaseParameters
@@ -22,11 +23,14 @@ from asbuilt.identification.estimators.held_out_choice import (
     divide_into_folds,
     group_different_motions,
 )
+from asbuilt.tables import format_plus_minus
 
 if TYPE_CHECKING:
     from asbuilt.identification.identify import Fit
     from asbuilt.identification.result.result import IdentificationResult
 
+FEWEST_ALIKE = 3
+"""Springs of one stiffness from which on that is no chance: two agree often."""
 APPLY = Cure("identify with it", {"effects": "auto"})
 
 
@@ -146,6 +150,38 @@ def is_sure(values: Array, covariance: Array) -> bool:
     """Return whether values (m,) are two standard errors or more from zero, by the parameter."""
     square = float(values @ np.linalg.pinv(covariance) @ values)
     return square >= RULES.two_errors**2 * len(values)
+
+
+def report_springs_alike(result: IdentificationResult) -> Iterator[Finding]:
+    """Name the one cause of torsion springs in a model that have one stiffness within their errors.
+
+    Springs of their own have stiffnesses of their own; a bundle of cables or hoses along the arm
+    has one, and every joint twists it. By weighted least squares and its chi-square.
+    """
+    own = [each for each in result.effects if each.effect == "spring" and each.in_model]
+    joints = [each.joint for each in own if each.joint is not None and each.unit == "N m/rad"]
+    if len(joints) < FEWEST_ALIKE:
+        return
+    places = np.concatenate(
+        [find_places(result.base, "spring", result.joint_names.index(name)) for name in joints]
+    )
+    values = result.estimates[places]
+    weight = np.linalg.pinv(result.covariance[np.ix_(places, places)])
+    information = float(weight.sum())
+    common = float(weight.sum(axis=0) @ values) / information
+    error = information**-0.5
+    off = values - common
+    if common < RULES.two_errors * error or off @ weight @ off > chdtri(len(joints) - 1, 0.05):
+        return
+    yield Finding(
+        "springs_alike",
+        "info",
+        f"The springs at {join_names(joints)} have one stiffness,"
+        f" {format_plus_minus(common, error)} N m/rad, and so one cause, such as a bundle of cables"
+        " or hoses that all of these joints twist",
+        Cure("look at what runs through or along the arm"),
+        effect="spring",
+    )
 
 
 def as_by_encoders(found: FoundEffect, result: IdentificationResult) -> FoundEffect:

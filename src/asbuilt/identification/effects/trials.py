@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices, Mask
@@ -180,22 +180,7 @@ class Trials:
         length = np.diag(self._total)
         self._size = np.sqrt(length)
         self._acts = length > RULES.acting * _find_largest(candidates, length)
-        # The training equations are the total less the group's: leaving out costs no pass.
-        self._without = [self._total - equations.stacked(weights, group) for group in groups]
-        self._of_joints = [
-            [
-                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
-                for support, gram in zip(equations.support, equations.grams, strict=True)
-            ]
-            for group in groups
-        ]
-        self._torque = np.array(
-            [[gram[-1, -1] for _, gram in joints] for joints in self._of_joints]
-        )
-        """Squared torque of each held-out group and joint."""
-        every = np.arange(equations.n_columns + 1)
-        blocks = range(equations.n_blocks)
-        self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
+        self._groups = groups
         self._place = np.full((equations.n_joints, equations.n_columns), -1)
         for place, support in zip(self._place, equations.support, strict=True):
             place[support] = np.arange(len(support))
@@ -205,8 +190,45 @@ class Trials:
         tiny = np.finfo(np.float64).tiny
         least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
         self._rms = np.maximum(rms, least)
-        self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
+        self._factored: dict[tuple[int, bytes], tuple[Array, Array]] = {}
         self.taken: list[Candidate] = []
+
+    # What only trials ask is derived by the first one: a search settles values without any.
+
+    @cached_property
+    def _without(self) -> list[Array]:
+        """The training equations of each group: the total less the group's, without a pass."""
+        stacked = self.equations.stacked
+        return [self._total - stacked(self.weights, group) for group in self._groups]
+
+    @cached_property
+    def _of_joints(self) -> list[list[tuple[Indices, Array]]]:
+        """Places and Gram matrix of each joint on each group."""
+        equations = self.equations
+        return [
+            [
+                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
+                for support, gram in zip(equations.support, equations.grams, strict=True)
+            ]
+            for group in self._groups
+        ]
+
+    @cached_property
+    def _torque(self) -> Array:
+        """Squared torque of each held-out group and joint."""
+        return np.array([[gram[-1, -1] for _, gram in joints] for joints in self._of_joints])
+
+    @cached_property
+    def _blocks(self) -> list[tuple[Indices, Array]]:
+        """Places and weighted Gram matrix of all joints of each block."""
+        every = np.arange(self.equations.n_columns + 1)
+        return [(every, gram) for gram in self.equations.stacked_blocks(self.weights)]
+
+    @cached_property
+    def _halves(self) -> list[Array]:
+        """Weighted Gram matrix of all joints on each half of the blocks."""
+        halves = np.array_split(np.arange(self.equations.n_blocks), 2)
+        return [self.equations.stacked(self.weights, half) for half in halves]
 
     @cached_property
     def _apart(self) -> Array:
@@ -300,14 +322,8 @@ class Trials:
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
         x = self.values_of([candidate])[0]
-        blocks = np.arange(self.equations.n_blocks)
-        found = []
-        for half in np.array_split(blocks, 2):
-            gram = self.equations.stacked(self.weights, half)
-            fit = self._fit(gram, inside, candidate.places)
-            found.append(float(2.0 * fit.score @ x - x @ fit.schur @ x))
-            self._factored.pop((id(gram), inside.tobytes()))
-        return found
+        fits = (self._fit(gram, inside, candidate.places) for gram in self._halves)
+        return [float(2.0 * fit.score @ x - x @ fit.schur @ x) for fit in fits]
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""
@@ -368,18 +384,21 @@ class Trials:
         key = (id(gram), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
-            factor = cho_factor(self._build_normal(gram, inside)[0])
+            root, failed = lapack.dpotrf(self._build_normal(gram, inside)[0], overwrite_a=True)
+            if failed:
+                raise np.linalg.LinAlgError("normal equations of effects are singular")
             b = gram[inside, -1].copy()
-            model = np.flatnonzero(inside < self.n_base)
+            model = inside < self.n_base
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
-            self._factored[key] = factor, cho_solve(factor, b)
-        factor, solution = self._factored[key]
+            self._factored[key] = root, lapack.dpotrs(root, b)[0]
+        root, solution = self._factored[key]
         residual = np.zeros(P + 1)
         moves = np.zeros((P + 1, len(columns)))
         # tau - W x: minus the values, and one for the torque.
         residual[inside] = -solution
         residual[-1] = 1.0
-        moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
+        if len(columns):
+            moves[inside] = lapack.dpotrs(root, gram.take(inside, 0).take(columns, 1))[0]
         # Moves end with the column itself: what of it the parameters inside do not follow.
         moves[columns, np.arange(len(columns))] -= 1.0
         # Schur complement and score of the columns given the parameters inside.
@@ -387,10 +406,11 @@ class Trials:
 
     def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        model = np.flatnonzero(inside < self.n_base)
         prior = np.zeros((len(inside),) * 2)
-        prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
-        A = gram[np.ix_(inside, inside)] + prior
+        # The model's own parameters stand first.
+        own = inside[inside < self.n_base]
+        prior[: len(own), : len(own)] = self.prior.information.take(own, 0).take(own, 1)
+        A = gram.take(inside, 0).take(inside, 1) + prior
         # On the diagonal relative to it, so that units do not matter; prior-free columns stay
         # regular.
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
@@ -546,7 +566,7 @@ def _expand_squares(
         kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
         # Rows of zero coefficients are most of a block, and cost nothing when passed over.
         at = places[kept]
-        part = gram[np.ix_(kept, kept)]
+        part = gram.take(kept, 0).take(kept, 1)
         r = fit.residual[at]
         M = fit.moves[at]
         felt = M.T @ part

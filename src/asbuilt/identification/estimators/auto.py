@@ -12,7 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously, bound_with_certainty
 from asbuilt.identification.bodies.cad_prior import (
     USUAL_DESIGN_EFFECT,
@@ -24,6 +24,7 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.consistency import (
     decide_consistency,
+    find_inconsistency,
     non_passive_drives,
 )
 from asbuilt.identification.bodies.entropic_path import EntropicPath
@@ -77,6 +78,9 @@ SELECTION_BELIEFS = (STRONGEST_BELIEF, 10.0, 10**0.5, 1.0)
 SELECTION_DESIGN_EFFECT = USUAL_DESIGN_EFFECT
 # Rise of the torque error by a consistent fit beyond what its lost degrees of freedom cost
 SELECTION_COSTLY = 0.05
+# Rise of a joint's error in its torque [%] that is told, and of how many joints at most
+SELECTION_FELT = 0.3
+MOST_COSTLY = 3
 
 
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
@@ -178,7 +182,7 @@ def _choose_closest_to_cad(
     folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
     parts = [(used.together(), held.together()) for used, held in folds]
     if len(parts) < SELECTION_FEWEST_FOLDS:
-        return _fit_usual_weight(information, prior, free, consistent, masses)
+        return _fit_usual_weight(data, prior, free, consistent)
     candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
     rates = None if data.samples is None else measure_recorded_rates(data.samples)
     motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
@@ -186,11 +190,10 @@ def _choose_closest_to_cad(
     motion *= np.resize(consistent.weights, len(motion))[:, None]
     free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
     return _choose_converging(
-        information,
+        data,
+        prior,
         free,
         candidates,
-        masses,
-        data.kind,
         lambda: choose_candidate(
             candidates.known,
             parts,
@@ -282,14 +285,16 @@ def _fit_candidates(
             weights,
             lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
         )
-    for weight in weights:
+    for k, weight in enumerate(weights):
         name = f"entropic (weight {weight:.3g})"
+        # From the weakest, which every fit has: other samples support other strong ones.
+        kind = f"entropic {len(weights) - k}"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
         if weight in rough:
             # The last row is the fit to all blocks.
             *folds, whole = rough[weight] @ K.T
             candidates.known.append(
-                Candidate(name, weight, np.array(folds), fit=fit, kind="entropic", beta=whole)
+                Candidate(name, weight, np.array(folds), fit=fit, kind=kind, beta=whole)
             )
         else:
             candidates.failed.append(name)
@@ -340,11 +345,10 @@ def _fit_supported_weights(
 
 
 def _choose_converging(
-    information: SquareRootInformation,
+    data: EstimationData,
+    prior: CadPrior,
     free: Estimate,
     candidates: _Candidates,
-    masses: bool,
-    kind: str,
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
@@ -364,7 +368,7 @@ def _choose_converging(
     error = choice.sentence(choice.chosen)
     why = f"{chosen.name} has the least error on other motion"
     if choice.chosen != choice.best:
-        nearest = "the fit closest to CAD" if masses else "the first consistent fit"
+        nearest = "the fit closest to CAD" if data.model.has_masses else "the first consistent fit"
         why = (
             f"{chosen.name} is {nearest} whose error on other motion is within one standard error"
             " of the least"
@@ -372,16 +376,17 @@ def _choose_converging(
         error += f", least {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", {choice.sentence(len(choice.candidates) - 1)}"
-    if kind == chosen.kind:
+    if data.kind == chosen.kind:
         why = f"{chosen.name} predicts the motion left out better than what was chosen without it"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
-    notes = (choice.note, *candidates.note, *(() if masses else (SCALE_OF_TORQUE,)))
+    scale = () if data.model.has_masses else (SCALE_OF_TORQUE,)
+    notes = (choice.note, *candidates.note, *scale)
     if fit is not free:
         fit = replace(fit, rivals=choice.rivals)
-        return _join_notes(information, fit, free), why, notes
+        return _join_notes(data, prior, fit, free), why, notes
     free = replace(free, rivals=choice.rivals)
-    if _is_consistent(information.base, free):
+    if _is_consistent(data.base, free):
         return free, why, notes
     finding = Finding(
         "consistent_fit_rejected",
@@ -394,26 +399,23 @@ def _choose_converging(
 
 
 def _fit_usual_weight(
-    information: SquareRootInformation,
-    prior: CadPrior,
-    free: Estimate,
-    consistent: ConsistentEstimate,
-    masses: bool,
+    data: EstimationData, prior: CadPrior, free: Estimate, consistent: ConsistentEstimate
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the entropic fit of the usual weight; the time blocks are too few to hold any out."""
     why = "the time blocks are too few to hold any out"
-    if masses:
+    information = free.information or data.information
+    if data.model.has_masses:
         weight = SELECTION_DESIGN_EFFECT
         try:
             fit = fit_toward_cad(information, prior, weight=weight, weights=consistent.weights)
         except AsbuiltError:
             why += f", and entropic (weight {weight:g}) did not converge"
         else:
-            return _join_notes(information, fit, free), f"entropic (weight {weight:g}): {why}", ()
-    return _join_notes(information, consistent, free), f"consistent: {why}", ()
+            return _join_notes(data, prior, fit, free), f"entropic (weight {weight:g}): {why}", ()
+    return _join_notes(data, prior, consistent, free), f"consistent: {why}", ()
 
 
-def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimate) -> Estimate:
+def _join_notes(data: EstimationData, prior: CadPrior, fit: Estimate, free: Estimate) -> Estimate:
     """Return a fit with notes and findings of the free one, and a finding if it fits far worse."""
     fit = replace(
         fit,
@@ -422,6 +424,7 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         notes=(*free.notes, *fit.notes),
         findings=(*free.findings, *fit.findings),
     )
+    information = free.information or data.information
     energy = information.residual_energy(free.beta)
     n = information.n_samples
     # The parameters are shared evenly, as no joint has its own count here.
@@ -436,10 +439,38 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         "info",
         f"The physically consistent fit has {100 * rise:.0f} % more torque error on the data used"
         f" than the values of {free.method}, which predict the groups of motion held out no better"
-        " beyond chance",
+        f" beyond chance{_locate_cost(data, prior, fit, free)}",
         CURE,
     )
     return replace(fit, findings=(*fit.findings, finding))
+
+
+def _locate_cost(data: EstimationData, prior: CadPrior, fit: Estimate, free: Estimate) -> str:
+    """Return at which joints consistency costs torque, and what free values have that no robot has.
+
+    Empty where nothing is felt, or the rows of joints are mixed.
+    """
+    information = free.information or data.information
+    if information.mixed:
+        return ""
+    torque = np.where(information.has_torque, information.torque_energy, np.inf)
+    # Joints that were always still have no torque to share.
+    torque = np.maximum(torque, np.finfo(np.float64).tiny)
+    own, other = (
+        100.0 * np.sqrt(information.residual_energy(each.beta) / torque) for each in (fit, free)
+    )
+    order = np.argsort(other - own, kind="stable")[:MOST_COSTLY]
+    costs = [
+        f"{data.model.joint_names[k]} {own[k]:.2g} % of its torque (else {other[k]:.2g} %)"
+        for k in order.tolist()
+        if own[k] - other[k] > SELECTION_FELT
+    ]
+    text = f": {join_names(costs)}" if costs else ""
+    proof = find_inconsistency(data.base, prior, free.beta, free.covariance)
+    if proof is None:
+        return text
+    value = proof.sentence.partition(" (base parameter")[0]
+    return f"{text}. Those values have what no passive drive or body has: {value}"
 
 
 def _is_consistent(base: BaseParameters, estimate: Estimate) -> bool:

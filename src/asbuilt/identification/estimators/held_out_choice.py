@@ -107,8 +107,8 @@ class Candidate:
 
     `weight` is the weight of CAD in its covariance; 0: least squares. `certain` says that the
     values agree with what is certain, such as that masses are positive. `fit` fits all blocks, and
-    `beta` (p,) is what it gives, roughly; empty: unknown. Candidates of one `kind` differ by the
-    weight alone.
+    `beta` (p,) is what it gives, roughly; empty: unknown. Fits to other samples have a candidate
+    of the same `kind`.
     """
 
     name: str
@@ -147,14 +147,12 @@ class MotionChoice:
 
     @property
     def rivals(self) -> dict[str, Array]:
-        """Parameters of the best candidate of each kind that was not chosen, if consistent."""
-        totals = self.errors.mean(axis=1) + self.extrapolation
-        best: dict[str, Candidate] = {}
-        for c in np.argsort(totals, kind="stable").tolist():
-            candidate = self.candidates[c]
-            if candidate.kind != self.candidates[self.chosen].kind and candidate.beta.size:
-                best.setdefault(candidate.kind, candidate)
-        return {kind: candidate.beta for kind, candidate in best.items() if candidate.certain}
+        """Parameters of the candidates that were not chosen, by kind, if consistent."""
+        return {
+            candidate.kind: candidate.beta
+            for c, candidate in enumerate(self.candidates)
+            if c != self.chosen and candidate.certain and candidate.beta.size
+        }
 
     def sentence(self, candidate: int) -> str:
         """Return the error of a candidate as text, and what is expected beyond it, if anything."""

@@ -13,17 +13,13 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.scaled import Scaled
 
 
-def scale_covariance(result: IdentificationResult, *, with_bias: bool = True) -> Scaled:
+def scale_covariance(result: IdentificationResult) -> Scaled:
     """Return the covariance of a result in the directions that it determines.
 
     Its inverse is the information: dropped parameters have none, nor have directions beyond the
-    rank of least squares; estimates regularised toward CAD have a variance in all. Without bias
-    the covariance counts scatter alone.
+    rank of least squares; estimates regularised toward CAD have a variance in all.
     """
-    covariance = np.array(result.covariance)
-    if result.bias is not None and not with_bias:
-        covariance -= result.bias
-    return Scaled(covariance)
+    return Scaled(np.array(result.covariance))
 
 
 def known_information(result: IdentificationResult) -> Array:
@@ -57,25 +53,21 @@ def find_estimable_root(result: IdentificationResult, covariance: Array) -> Arra
 
 
 def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> StandardParameters:
-    """Return the standard parameters closest to CAD within the standard errors of a result.
+    """Return the standard parameters closest to CAD within the noise of the data of a result.
 
-    Those are the errors by scatter: that effects are missing is no reason to predict torques worse.
-    If no physically consistent links have its torques, they are inconsistent, or, with `nearest`,
-    the consistent ones with the least torque difference on the data used, joints weighted by
-    their noise.
+    They have its torques: that errors are larger than the noise, since residuals are correlated or
+    effects are missing, is no reason to predict torques worse. If no physically consistent links
+    have its torques, they are inconsistent, or, with `nearest`, the consistent ones with the least
+    torque difference on the data used, joints weighted by their noise.
     """
 
     def find() -> StandardParameters:
-        root = None
-        if not any(parameter.dropped for parameter in result.parameters):
-            root = scale_covariance(result, with_bias=False).inverse_root.T
         return find_standard_parameters(
             result.model,
             result.base,
             result.estimates,
             nearest=nearest,
             information=_add_up_torque_information(result),
-            uncertainty_root=root,
         )
 
     return result.once((as_built_parameters, nearest), find)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -24,7 +24,7 @@ from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     find_estimable_root,
 )
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.result import IdentificationResult, Identified
 from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.tables import format_plus_minus, format_range, round_significant
 
@@ -162,7 +162,7 @@ class _Quantity:
 
 
 def feasible_intervals(
-    result: IdentificationResult,
+    result: IdentificationResult | Identified,
     quantities: Sequence[str] = (),
     *,
     prior: Literal["cad"] | None = None,
@@ -176,12 +176,12 @@ def feasible_intervals(
     Of all bodies whose pseudo-inertias are positive semidefinite, with passive drives, that have
     base parameters within the 95 % region of the estimate: convex programs, exact to the solver's
     tolerance. The region is that of the weighted least squares, not regularised toward CAD, with
-    errors that include lack of fit and bias.
+    errors that include lack of fit and bias. The exported robot is one of these bodies.
 
     Parameters
     ----------
     result
-        The result.
+        The result, or its study.
     quantities
         `mass` (of all links), `mass:LINK`, `mass:LINK+LINK`, `com:LINK` (three axes) or `cx:LINK`,
         `mx:LINK`, `Ixx:LINK` in axes of the link at its origin, and a drive term or one of its
@@ -213,6 +213,7 @@ def feasible_intervals(
     DescriptionError
         If the description has no shapes.
     """
+    result = result.result
     found = [each for text in quantities or _default(result) for each in _parse(result, text)]
     allowed = result.once((_find_region, region), lambda: _find_region(result, region))
     stated = prior is not None or geometry
@@ -297,15 +298,21 @@ def bound_effects(
         greatest = interval.greatest - own[1]
         if effect.effect == "payload":
             least = max(least, 0.0)  # what is added has a mass
-        chosen = effect.estimate if effect.effect in BODIES else interval.chosen or 0.0
+        chosen = interval.chosen
+        if effect.effect in BODIES:
+            # The other masses by CAD: one of the robots that the log allows, too.
+            chosen = effect.estimate
+            least = min(least, chosen)
+            greatest = max(greatest, chosen)
         before = f"{format_plus_minus(effect.estimate, effect.std_error)} {effect.unit}"
         size = format_range(least, greatest, effect.unit)
-        size += f", {_describe_chosen(chosen, least, greatest)}"
+        if chosen is not None:
+            size += f", {_describe_chosen(chosen, least, greatest)}"
         end = f": {effect.improvement}"
         found.append(
             replace(
                 effect,
-                estimate=chosen,
+                estimate=effect.estimate if chosen is None else chosen,
                 std_error=None,
                 feasible=(least, greatest),
                 confounded_with=interval.confounded_with or interval.without_effect,
@@ -313,6 +320,27 @@ def bound_effects(
             )
         )
     return tuple(found)
+
+
+def list_open(
+    result: IdentificationResult, effects: Iterable[FoundEffect]
+) -> Iterator[FoundEffect]:
+    """Yield effects in the model whose drive parameters may all be zero, as far as is determined.
+
+    One that other parameters replace unseen is not among them: whether it is there is no question
+    that the torques could answer, and it is told with what it is confounded with.
+    """
+    for effect in effects:
+        term = next((term for term in result.base.drive.terms if term.key == effect.effect), None)
+        if not effect.in_model or effect.joint is None or term is None:
+            continue
+        intervals = [
+            feasible_interval(result, symbol, effect.joint)
+            for symbol in term.symbols
+            if _of_joint(result, symbol, effect.joint)
+        ]
+        if intervals and all(each.holds(0.0) and not each.confounded_with for each in intervals):
+            yield effect
 
 
 def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[str, float] | None:
@@ -394,26 +422,25 @@ def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion
         root,
         bound_with_certainty(cad),
         float(chdtri(1 if region == "each" else len(root), USUAL_ALPHA)),
+        _find_chosen(result),
     )
 
 
 def _describe_chosen(chosen: float, least: float, greatest: float) -> str:
-    """Return the value of the exported robot, and whether it lies beyond what the log allows.
-
-    A robot that was held near CAD, or made consistent, may leave the region of the estimate.
-    """
+    """Return the value of the exported robot, and whether stated bounds exclude it."""
     beyond = max(least - chosen, chosen - greatest)
     # Ends are bounds of a solver: a hundredth of the value is no contradiction.
-    outside = " beyond it" if beyond > 0.01 * abs(chosen) else ""
+    outside = ", which what is stated excludes" if beyond > 0.01 * abs(chosen) else ""
     return f"chosen {round_significant(chosen)}{outside}"
 
 
 def _find_chosen(result: IdentificationResult) -> Array | None:
     """Return the standard parameters of the exported robot; None if there is none."""
     try:
-        return as_built_parameters(result).parameters
+        found = as_built_parameters(result)
     except IdentifiabilityError:
         return None
+    return found.parameters if found.consistent else None
 
 
 def _read_cad(result: IdentificationResult) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Container
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,6 +106,15 @@ class IdentifiedParameter:
     def difference_in_sigmas(self) -> float:
         """As built minus CAD, in standard errors; NaN if CAD has no value."""
         return (self.estimate - self.cad) / self.std_error if self.std_error > 0 else np.nan
+
+
+class Identified(Protocol):
+    """Have a result, as a study does."""
+
+    @property
+    def result(self) -> IdentificationResult:
+        """The result."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -300,6 +309,11 @@ class IdentificationResult:
     def weights(self) -> Array:
         """One over the standard deviation of each joint's torque residual, (n,); always finite."""
         return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
+
+    @property
+    def result(self) -> IdentificationResult:
+        """The result itself, as a study has one: functions of a result take either."""
+        return self
 
     @cached_property
     def of_training(self) -> IdentificationResult:

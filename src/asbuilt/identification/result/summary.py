@@ -195,8 +195,9 @@ def summarise(
 def _format_mass(mass: FeasibleInterval, unit: str = "") -> str:
     """Return the interval of a mass, what was chosen in it, and CAD."""
     cad = round_significant(mass.cad)
-    chosen = round_significant(mass.chosen)
-    return f"{mass.text.replace(' kg', unit)}, chosen {chosen}{unit} (CAD {cad}{unit})"
+    # Values that no body has are no choice.
+    chosen = "" if mass.chosen is None else f", chosen {round_significant(mass.chosen)}{unit}"
+    return f"{mass.text.replace(' kg', unit)}{chosen} (CAD {cad}{unit})"
 
 
 def format_ranked_findings(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.errors import UsageError
@@ -339,7 +340,8 @@ def _alternate(
         gains = kp.tolist(), kd
         if model.has_reactions:
             gains = np.where(unknown, kp, 1.0).tolist(), [1.0] * len(kd)
-        found = fit_delay(rows, base, design, *gains, replayed)
+        doubt = _doubt_ratios(scale, unknown)
+        found = fit_delay(rows, base, design, *gains, doubt, replayed)
         if not free_delay:
             break
         # The fit is linear about this delay, and is made again where it leads.
@@ -350,8 +352,20 @@ def _alternate(
         # Closer than a twentieth of its own error no delay is known.
         if abs(step) < max(SERVO_CONVERGENCE, 0.05 * error):
             break
+    # A fit of one robot to all joints knows their ratios; the scale of all stays that of CAD.
+    kp = kp * found.ratios
     settled = replace(servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
     return _Settled(settled, error, rows, scale, found, tuple(gains[0]))
+
+
+def _doubt_ratios(scale: ServoScale | None, unknown: Mask) -> Array:
+    """Return the relative standard error (n,) of each stiffness beside the others', 0 if known.
+
+    Servos of one stiffness have a known ratio; others are determined, each by CAD.
+    """
+    if scale is None or scale.shared:
+        return np.zeros(unknown.size)
+    return np.where(unknown, scale.std_errors / scale.kp, 0.0)
 
 
 def _take_secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:

@@ -233,13 +233,15 @@ class DelayFit:
     """Hold the change of the delay [s] that the rows have, and its standard error.
 
     `excess` (B,) is the largest residual of a joint in each block, in units of its median block;
-    `parameters` (n_standard,) are the standard parameters.
+    `parameters` (n_standard,) are the standard parameters. The torques are `ratios` (n,) times
+    those of the gains.
     """
 
     step: float
     std_error: float
     excess: Array
     parameters: Array
+    ratios: Array
 
 
 def fit_delay(
@@ -248,11 +250,16 @@ def fit_delay(
     design: CadPrior,
     kp: Sequence[float],
     kd: Sequence[float],
+    doubt: Array,
     replayed: Replay | None = None,
 ) -> DelayFit:
-    """Fit `kp (u - q) - kd qd = W beta + step kp du/dt` with passive drives.
+    """Fit `kp (u - q) - kd qd = (1 - r_k) W beta + step kp du/dt` with passive drives.
 
-    Links have a prior from CAD. What does not average out (`replayed`) is taken off the scores.
+    Links have a prior from CAD. Links turn each other, so that the ratio of two stiffnesses that
+    CAD gave is known from the motion far better than each, and a wrong one looks like a delay:
+    r_k are fitted, with a standard deviation of `doubt` (n,) before the data. Their column is the
+    torque that the model predicts, `-r_k W_k beta`: the measured one has the noise of the residual.
+    What does not average out (`replayed`) is taken off the scores.
     Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
     everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933). It is at
     least the error by the noise that was replayed; without a replay, or with too few blocks, by
@@ -261,25 +268,36 @@ def fit_delay(
     """
     n = rows.n_joints
     p = base.n_standard
-    prior = np.eye(p + 1) / DELAY_DRIVES**2
+    unsure = doubt > 0.0
+    # Unknowns are standard parameters, ratios and the step of the delay.
+    prior = np.eye(p + n + 1) / DELAY_DRIVES**2
     links = slice(10 * base.n_links)
+    ratios = slice(p, p + n)
     prior[links, links] = DELAY_LINKS * block_diag(*design.metric)
+    prior[ratios, ratios] = np.diag(1.0 / np.where(unsure, doubt, 1.0) ** 2)
     # Nothing is known of the delay beforehand.
-    prior[p, p] = 0.0
-    start = np.zeros(p + 1)
-    lower = np.full(p + 1, -np.inf)
+    prior[-1, -1] = 0.0
+    start = np.zeros(len(prior))
+    lower = np.full(len(prior), -np.inf)
     start[links] = design.parameters[links]
     lower[design.non_negative] = 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
-    reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
+    reached = [
+        np.flatnonzero(np.any(J != 0.0, axis=0) | (unsure[k] & (np.arange(p + n + 1) == p + k)))
+        for k, (J, _) in enumerate(maps)
+    ]
     weight = np.ones((n, rows.n_blocks))
     lengths = rows.lengths
     x = start
     scale = np.ones(n)
-    free = np.arange(p + 1)
+    free = np.arange(len(x))
     for _ in range(DELAY_PASSES):
         normal = prior.copy()
         right = prior @ start
+        for k in np.flatnonzero(unsure).tolist():
+            # What the last pass predicts, which is linear in the ratio.
+            whole, _ = maps[k]
+            whole[:, p + k] = -whole[:, :p] @ x[:p]
         for k, (whole, torque) in enumerate(maps):
             J = whole[:, reached[k]]
             at = reached[k]
@@ -323,13 +341,16 @@ def fit_delay(
     if replayed is None:
         # Without a replay the joints' disagreement is the one sign of what does not average out.
         variance = max(variance, float(np.square(by_joint).sum()))
-    variance += (DOUBT * taken) ** 2
+    # What the motion leaves open of the ratios stays at CAD, with its error.
+    of_ratios = (free >= p) & (free < p + n)
+    open_ratios = inverse[of_ratios] / np.where(unsure, doubt, np.inf)[free[of_ratios] - p]
+    variance += (DOUBT * taken) ** 2 + float(open_ratios @ open_ratios)
     left = np.array([block_variances(rows, k, residual) for k, residual in enumerate(residuals)])
     usual = np.array(
         [np.nanmedian(variances) if np.isfinite(variances).any() else np.inf for variances in left]
     )
     excess = np.sqrt(np.max(np.nan_to_num(left / usual[:, None]), axis=0))
-    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess, x[:-1])
+    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess, x[:p], 1.0 / (1.0 - x[ratios]))
 
 
 def _build_coefficients(
@@ -337,8 +358,8 @@ def _build_coefficients(
 ) -> tuple[Array, Array]:
     """Return a joint's rows in terms of parameters and delay, and its torque, as coefficients."""
     support = rows.in_model(k)
-    J = np.zeros((support.size + 3, base.n_standard + 1))
-    J[: support.size, :-1] = base.regrouping[support]
+    J = np.zeros((support.size + 3, base.n_standard + rows.n_joints + 1))
+    J[: support.size, : base.n_standard] = base.regrouping[support]
     # Rows are [W_k, qd, du/dt, u - q]: of du/dt and u - q the gains are coefficients.
     J[support.size + 1, -1] = kp
     torque = np.zeros(support.size + 3)

@@ -23,7 +23,7 @@ from asbuilt.identification.effects.effect import (
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
 from asbuilt.identification.information.equations import TILT, CauseData
 from asbuilt.identification.result.feasible import bound_effects
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.result import IdentificationResult, Identified
 from asbuilt.identification.screen import format_size
 from asbuilt.tables import format_plus_minus
 from asbuilt.validation.attribution.attribution import NAMED_SHARE, Attribution, EffectShare
@@ -36,7 +36,9 @@ from asbuilt.validation.prediction import derive_cad_values, torque_units
 BODIES = (Payload.key, LinkMass.key)
 
 
-def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> Attribution:
+def attribute(
+    result: IdentificationResult | Identified, cad: RobotModel | None = None
+) -> Attribution:
     """Attribute the torque error of CAD to the effects that the model of a result has.
 
     With y_i the torque of what effect i adds to CAD, `e = tau - tau_CAD` and `r = e - sum y`, the
@@ -61,6 +63,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     ResultError
         If the result has no cause data.
     """
+    result = result.result
     data = result.cause_data
     if data is None:
         raise ResultError(

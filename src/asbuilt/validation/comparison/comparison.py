@@ -14,7 +14,7 @@ from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.samples import RECORDINGS, Blocks, parse_rule
 from asbuilt.findings import join_names
-from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
+from asbuilt.identification import CauseData, IdentificationResult, Identified, TorqueMetrics
 from asbuilt.tables import Table, format_share, round_significant, stack_tables, wrap_text
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import (
@@ -230,7 +230,7 @@ class Comparison:
 
 
 def compare(
-    result: IdentificationResult,
+    result: IdentificationResult | Identified,
     cad: RobotModel | None = None,
     validation: Validation | Sequence[Validation] | None = None,
     *,
@@ -242,7 +242,7 @@ def compare(
     Parameters
     ----------
     result
-        The result.
+        The result, or its study.
     cad
         Another description of the same geometry; None: the one identified with.
     validation
@@ -258,6 +258,7 @@ def compare(
     Comparison
         Parameters, torque errors and tests.
     """
+    result = result.result
     values = result.cad_values if cad is None else derive_cad_values(result, cad)
     determined = np.array(
         [p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters]

@@ -27,11 +27,17 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "joints_correlated": ("poorly_determined",),
         "link_mass_differs": CAUSES,
         "not_excited": ("joint_without_torque",),
+        **dict.fromkeys(
+            ("does_not_generalise", "cad_predicts_better", "error_at_standstill"),
+            ("payload_in_log",),
+        ),
+        "joint_masses_differ": ("payload_in_log",),
     }
 )
 """Findings that follow from another one, or repeat it; with it they are good to know only."""
 
 WEIGHT: tuple[str, ...] = (
+    "payload_in_log",
     "joint_without_torque",
     "gravity_absent",
     "gravity_partial",

@@ -97,9 +97,24 @@ def check_validations(
         (recording_name(validation.source), finding)
         for validation in validations
         for finding in (
+            *report_carried_load(validation),
             *_report_generalisation(train, validation, refitted),
             *_report_rest(validation),
         )
+    )
+
+
+def report_carried_load(validation: Validation) -> Iterator[Finding]:
+    """Name a load that a recording carries beyond the model, which is no fault of the model."""
+    if validation.load is None:
+        return
+    yield Finding(
+        "payload_in_log",
+        "warning",
+        f"{recording_name(validation.source)} {validation.load.text}",
+        Cure("identify the payload, and validate on a log without it", call="identify_payload"),
+        torque=1.0
+        - (validation.load.relative_error / validation.metrics_as_built.relative_error) ** 2,
     )
 
 

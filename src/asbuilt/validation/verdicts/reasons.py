@@ -18,6 +18,7 @@ from asbuilt.findings import Finding, join_names
 from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.tables import round_significant
+from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
@@ -77,9 +78,12 @@ def list_reasons_against(
     unexplained = any(joint_use.use == "no" for joint_use in joints)
     # Errors of a recording that was used all the same.
     checks = [finding for finding in findings if finding.severity == "error"]
+    bare = [validation for validation in validations if validation.load is None]
     return (
         *(Reason(finding.code, finding.message, forbids=True) for finding in checks),
-        *_list_error_reasons(error, measure),
+        *_list_load_reasons(validations),
+        # An error that a load explains is none of the model.
+        *(_list_error_reasons(error, measure) if bare or not validations else ()),
         *([Reason("nothing_held_out", "nothing could be left out")] if untested else []),
         *_list_unexplained_joints(joints),
         *_list_finding_reasons(
@@ -93,7 +97,7 @@ def list_reasons_against(
             measure,
         ),
         *(_make_effect_reason(effect) for effect in result.effects if _is_omitted(effect)),
-        *_list_joint_reasons(validations if measure == "torque" else ()),
+        *_list_joint_reasons(bare if measure == "torque" else ()),
         *_list_simulation_reasons(result, simulated),
     )
 
@@ -104,6 +108,14 @@ def is_untested(
     """Return whether a model was measured on its training data alone."""
     held_out = validations or result.validation
     return not held_out or any(finding.code == "nothing_held_out" for finding in findings)
+
+
+def _list_load_reasons(validations: Sequence[Validation]) -> Iterator[Reason]:
+    """Yield the recordings that carry a load which the model lacks."""
+    for validation in validations:
+        if validation.load is not None:
+            name = recording_name(validation.source)
+            yield Reason("payload_in_log", f"{name} {validation.load.text}")
 
 
 def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reason]:
@@ -128,12 +140,16 @@ def decide_joints(
     """Return the use of a model joint by joint, by the torque of all recordings together.
 
     A joint is not for use if more than `VerdictRules.useless` of its own torque is unexplained,
-    which the norm over all joints hides where others carry more.
+    which the norm over all joints hides where others carry more. Recordings with a load that the
+    model lacks do not count.
     """
+    loaded = {validation.source for validation in validations if validation.load is not None}
+    validations = [validation for validation in validations if validation.load is None]
     metrics = [
         validation.metrics_exported or validation.metrics_as_built for validation in validations
     ]
-    metrics = metrics or [*result.validation] or [result.train]
+    metrics = metrics or [each for each in result.validation if each.source not in loaded]
+    metrics = metrics or [result.train]
     counts = np.array([[metric.n_samples] for metric in metrics])
     rms = np.array([metric.rms for metric in metrics])
     shares = np.array([metric.relative_error_per_joint for metric in metrics])
@@ -366,7 +382,7 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "gravity_partial": "the torques follow a part of gravity",
         "gravity_direction": "gravity points elsewhere than described",
         "clock_wrong": "the clock of the log looks wrong",
-        "torque_scale": "torques have another scale than masses",
+        "torque_scale": "torques have another scale than masses{at}",
         "joint_torque_scale": "torque of another scale{at}",
         "joint_gain_wrong": "a wrong torque gain{at}",
         "sensor_crosstalk": "cross-talk of torque sensors{at}",
@@ -383,6 +399,10 @@ DIMMING: Mapping[str, str] = MappingProxyType(
     }
 )
 """Text of each finding that speaks against a model, the weightiest first."""
+OF_MOTION = frozenset(
+    {"held_out_repeats", "nothing_held_out", "not_excited", "motion_narrow", "motion_slow"}
+)
+"""Reasons why the error on other motion may be another one than that of the sentence."""
 OF_TORQUE = frozenset(
     {
         "torque_scale",

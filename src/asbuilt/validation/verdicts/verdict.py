@@ -18,6 +18,7 @@ from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.position_errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.reasons import (
+    OF_MOTION,
     RULES,
     JointUse,
     Reason,
@@ -48,10 +49,11 @@ FINE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class BodiesUse:
-    """Say whether to use the exported links as bodies, and why not."""
+    """Say whether to use the exported links as bodies, and why not; `reasons` are codes."""
 
     use: Use
     text: str = ""
+    reasons: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,12 @@ class Verdict:
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def use_for_torque(self) -> Use:
+        """Whether to use its torque, whatever speaks against its links as bodies."""
+        alone = set(self.reasons) <= set(self.bodies.reasons)
+        return "yes" if self.use == "with care" and alone else self.use
 
 
 def study_verdict(
@@ -151,7 +159,8 @@ def _decide_bodies(reasons: Sequence[Reason]) -> BodiesUse:
     if not reasons:
         return BodiesUse("yes")
     forbidden = any(reason.forbids for reason in reasons)
-    return BodiesUse("no" if forbidden else "with care", reasons[0].text)
+    codes = tuple(dict.fromkeys(reason.code for reason in reasons))
+    return BodiesUse("no" if forbidden else "with care", reasons[0].text, codes)
 
 
 def _write_verdict(
@@ -163,11 +172,22 @@ def _write_verdict(
         # Other reasons wait for another motion, and masses are no reason to use it.
         reasons = [reason for reason in reasons if reason.code == "torque_unexplained"]
         mass = ""
-    texts = list(dict.fromkeys(reason.text for reason in reasons))
-    against = f"{join_names(texts[: RULES.named])}; " if texts else ""
+    against = f"{join_names(_choose_named(reasons))}; " if reasons else ""
     if bodies.text and use != "no":
         mass = f"; {OPENING[bodies.use]} as bodies: {bodies.text}"
     return f"{opening}: {against}{outcome}{mass}."
+
+
+def _choose_named(reasons: Sequence[Reason]) -> list[str]:
+    """Return the phrases of the weightiest reasons, one of them about motion that is untested.
+
+    The sentence has a number, which other motion may not keep: if so it says so.
+    """
+    texts = list(dict.fromkeys(reason.text for reason in reasons))[: RULES.named]
+    of_motion = [reason.text for reason in reasons if reason.code in OF_MOTION]
+    if of_motion and not {*texts} & {*of_motion}:
+        texts[-1] = of_motion[0]
+    return texts
 
 
 # One use for torque and bodies is said once where it is no.
@@ -197,6 +217,8 @@ def _word_motion(
     # Every recording repeats the training motion: it is the same one.
     if repeated and repeated >= len(sources):
         return "the same motion"
+    if validations and all(validation.load is not None for validation in validations):
+        return "motion under load"
     # A recording that is left out whole is another motion; a part of one belongs to its motion.
     part = result.holdout != RECORDINGS
     held = all(source.endswith(f"{HELD_OUT}{result.holdout}") for source in sources)

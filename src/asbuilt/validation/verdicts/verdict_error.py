@@ -52,8 +52,8 @@ def with_exported(
 ) -> Validation:
     """Return a validation with the errors of the robot that exports of a result carry.
 
-    Its links have the standard parameters closest to CAD within the standard errors, its drives all
-    identified terms. Nothing is added if there are no physically consistent links.
+    Its links have the standard parameters closest to CAD within the noise of the data used, its
+    drives all identified terms. Nothing is added if there are no physically consistent links.
     """
     exported = export_parameters(result)
     if exported is None:

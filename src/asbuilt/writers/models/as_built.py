@@ -39,7 +39,7 @@ class AsBuilt:
 
 
 def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
-    """Return the robot closest to CAD within the standard errors of the identified parameters.
+    """Return the robot closest to CAD within the noise of the torques of the data used.
 
     If no physically consistent links have these torques, the links are inconsistent, or, with
     `nearest`, the consistent ones with the least torque difference on the data used, joints

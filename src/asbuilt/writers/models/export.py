@@ -15,7 +15,7 @@ from asbuilt.description.formats.xml import described_text, find_outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.identification import IdentificationResult, StandardParameters
+from asbuilt.identification import IdentificationResult, Identified, StandardParameters
 from asbuilt.identification.information.random_states import build_random_motion_rows
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
@@ -109,7 +109,7 @@ class Export:
 
 
 def export_result(
-    result: IdentificationResult,
+    result: IdentificationResult | Identified,
     *,
     urdf: Place | None = None,
     mjcf: Place | None = None,
@@ -125,12 +125,12 @@ def export_result(
 ) -> Export:
     """Write the identified robot into the files named.
 
-    The links are closest to CAD within the standard errors of the identified parameters.
+    The links are closest to CAD within the noise of the torques of the data used.
 
     Parameters
     ----------
     result
-        The identified robot.
+        The identified robot, or its study.
     urdf, mjcf, toml, c
         Files to write; a `.c` file comes with its header.
     observer, thresholds
@@ -164,6 +164,7 @@ def export_result(
     UsageError
         If no file is named, or options do not go together.
     """
+    result = result.result
     formats = {SIMULATOR_FORMATS.find(key): place for key, place in (simulators or {}).items()}
     models = (urdf, mjcf, toml, c)
     # Each refusal has its cure; nothing is written before all are passed.

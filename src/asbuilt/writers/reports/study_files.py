@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asbuilt import writers
 from asbuilt.errors import DescriptionError, IdentifiabilityError
@@ -18,11 +18,15 @@ from asbuilt.identification import (
 )
 from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.recovery import Recovery
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
 from asbuilt.writers.tables.drive_tables import tabulate_motor_side
-from asbuilt.writers.tables.payload_tables import payload_document, payload_text, tabulate_payload
+from asbuilt.writers.tables.payload_tables import (
+    describe_payload_outcome,
+    payload_document,
+    payload_text,
+    tabulate_payload,
+)
 from asbuilt.writers.tables.rollout_tables import describe_refinement, rollout_text
 from asbuilt.writers.tables.tabular import (
     exported_masses,
@@ -32,6 +36,9 @@ from asbuilt.writers.tables.tabular import (
     write_json,
 )
 from asbuilt.writing import atomic_write, file_set
+
+if TYPE_CHECKING:
+    from asbuilt.validation.recovery import Recovery
 
 MEMBERS = (
     "result.json",
@@ -60,7 +67,10 @@ def study_text(
     """
     if not full:
         text = study.summary().as_text(cure_text=cure_text)
-        return text if payload is None else f"{text}\n{tabulate_payload(payload).as_text()}"
+        if payload is None:
+            return text
+        outcome = wrap_text(describe_payload_outcome(payload))
+        return f"{text}\n{outcome}\n\n{tabulate_payload(payload).as_text()}"
     summary = study.summary()
     masses = exported_masses(study.result)
     if masses is not None:
@@ -207,7 +217,8 @@ def _write_robot(
             )
             notes["urdf"] = (*remarks, *kept)
     except (IdentifiabilityError, DescriptionError) as problem:
-        notes[kind] = (f"not written: {problem}",)
+        why = "; ".join(filter(None, (problem.message, str(problem.cure or ""))))
+        notes[kind] = (f"not written: {why}",)
     return files, {kind: remarks for kind, remarks in notes.items() if remarks}
 
 

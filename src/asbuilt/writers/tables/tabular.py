@@ -124,6 +124,7 @@ def validate_document(
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
         "cad": [validation.metrics_cad.as_dict() for validation in validations],
         "verdict": [cad_verdict(validation).as_dict() for validation in validations],
+        "load": [make_plain(validation.load) for validation in validations],
         "files": path_texts(files),
     }
 
@@ -293,8 +294,8 @@ def mass_table(masses: ExportedMasses) -> Table:
         "Masses of the links",
         notes=(
             "Feasible: least and greatest over all physically consistent robots with these torques"
-            " (95 %). Chosen: links of the exported robot, the closest to CAD within the standard"
-            " errors.",
+            " (95 %). Chosen: links of the exported robot, the closest to CAD within the noise of"
+            " the torques.",
         ),
     )
 
@@ -315,8 +316,8 @@ def feasible_table(intervals: Sequence[FeasibleInterval], condition: str = "") -
         ),
         notes=(
             "Feasible: least and greatest over all physically consistent robots with the torques of"
-            " these recordings. Chosen: the exported robot, closest to CAD within the standard"
-            " errors.",
+            " these recordings. Chosen: the exported robot, closest to CAD within the noise of"
+            " the torques.",
             *([condition] if condition else []),
         ),
     )

@@ -54,8 +54,8 @@ function shortProblem() {
 
 /* Step 2 has the folder of the log. */
 function nameFile(text) {
-  const { logs, validation } = page().choices;
-  const log = [...logs, ...validation].find((path) => text.startsWith(path));
+  const { logs, validation, payload } = page().choices;
+  const log = [...logs, ...validation, ...payload].find((path) => text.startsWith(path));
   return log ? fileName(log) + text.slice(log.length) : text;
 }
 

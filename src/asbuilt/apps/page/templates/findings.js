@@ -34,6 +34,8 @@ export function addCures(row, text) {
 function addButton(row, line, option, value) {
   const isFlag = page().flags.includes(option);
   const text = Array.isArray(value) ? value.join(",") : String(value);
+  // What is chosen already cures nothing more.
+  if (page().fields[line][option] === (isFlag ? true : text)) return;
   const isOpen = !isFlag && (value === null || value === undefined || /\b[A-Z]{2,}\b/.test(text));
   const button = make(row, "button", { type: "button" }, isOpen ? "Give " + option : "Use " + option + (isFlag ? "" : " " + text));
   button.addEventListener("click", () => (isOpen ? lead(line, option, text) : setOption(line, option, isFlag ? true : text)));

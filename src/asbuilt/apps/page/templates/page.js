@@ -36,7 +36,7 @@ for (const node of document.querySelectorAll("input")) {
 
 function drawStart() {
   const { choices, job, note } = page();
-  element("start").hidden = Boolean(choices.robot || choices.logs.length || choices.validation.length);
+  element("start").hidden = Boolean(choices.robot || countLogs(choices));
   element("sample").disabled = Boolean(job);
   element("note").hidden = !note;
   element("note").textContent = note;
@@ -51,24 +51,27 @@ function drawChoices() {
   drawLogs(choices);
 }
 
+/* What a recording is for: the fields of the choices that hold recordings. */
+const roles = { logs: "identify with it", validation: "validate on it", payload: "it carries a load" };
+const countLogs = (choices) => Object.keys(roles).reduce((sum, use) => sum + choices[use].length, 0);
+
 let drawnLogs = "";
 function drawLogs(choices) {
-  const count = choices.logs.length + choices.validation.length;
+  const count = countLogs(choices);
   mark("logs", count ? count + (count > 1 ? " logs" : " log") : "", "good");
-  const signature = JSON.stringify([choices.logs, choices.validation]);
+  const signature = JSON.stringify(Object.keys(roles).map((use) => choices[use]));
   if (signature === drawnLogs) return;
   drawnLogs = signature;
   const list = element("log-list");
   list.textContent = "";
-  for (const use of ["logs", "validation"]) {
+  for (const use of Object.keys(roles)) {
     for (const path of choices[use]) {
       const row = make(list, "li", {});
       const name = make(row, "span", { class: "name" });
       make(name, "b", {}, fileName(path));
       make(name, "span", { class: "quiet" }, " " + path);
       const role = make(row, "select", { "aria-label": "use of " + path });
-      make(role, "option", { value: "logs" }, "identify with it");
-      make(role, "option", { value: "validation" }, "validate on it");
+      for (const [value, text] of Object.entries(roles)) make(role, "option", { value }, text);
       role.value = use;
       role.addEventListener("change", () => addLogs([path], role.value));
       make(row, "button", { type: "button" }, "Remove").addEventListener("click", () => addLogs([path], ""));
@@ -78,7 +81,7 @@ function drawLogs(choices) {
 
 function addLogs(paths, use) {
   const kept = (name) => page().choices[name].filter((path) => !paths.includes(path));
-  const next = { logs: kept("logs"), validation: kept("validation") };
+  const next = Object.fromEntries(Object.keys(roles).map((name) => [name, kept(name)]));
   if (use) next[use] = next[use].concat(paths);
   return choose(next);
 }
@@ -172,8 +175,17 @@ function drawCheck() {
   if (failed && !isTold) addCures(place, answer.error.hint || answer.error.message);
 }
 
+/* Findings of one code at several joints are one, as in the terminal; errors stay apart. */
 function nameFindings(recording, several) {
-  return recording.findings.map((finding) => (several ? { ...finding, source: fileName(recording.source) } : finding));
+  const found = new Map();
+  for (const finding of recording.findings) {
+    const place = finding.joint || finding.link;
+    const key = place && finding.severity !== "error" ? finding.severity + finding.code : finding.severity + finding.message;
+    const first = found.get(key);
+    if (!first) found.set(key, { ...finding, others: [], ...(several ? { source: fileName(recording.source) } : {}) });
+    else if (place) first.others.push(place);
+  }
+  return [...found.values()].map((finding) => (finding.others.length ? { ...finding, message: `${finding.message}; the same holds for ${finding.others.join(", ")}` } : finding));
 }
 
 function summary(answer, errors, warnings) {

@@ -28,7 +28,8 @@ export function errorText(answer) {
   return answer.error.message + (answer.error.hint ? "; " + answer.error.hint : "");
 }
 
-export const percent = (value) => (value === null || value === undefined ? "-" : (100 * value).toPrecision(value < 0.1 ? 2 : 3) + " %");
+/* As verdicts write it: a part of a percent with two digits. */
+export const percent = (value) => (value === null || value === undefined ? "-" : (100 * value).toFixed(value < 0.01 ? 2 : 1) + " %");
 export const digits = (value) => (value === null || value === undefined ? "-" : Number(value.toPrecision(3)).toString());
 
 /* A range, with the digits that tell its ends apart. */

@@ -30,6 +30,10 @@ export function drawResult() {
   drawEffects(answer, isOld);
   if (shown === answer) return;
   shown = answer;
+  element("payload-verdict").hidden = !answer.payload;
+  const carried = answer.payload ? answer.payload.headline : "";
+  element("payload-verdict").textContent = carried;
+  element("payload-verdict").className = "verdict " + (/^USE:/.test(carried) ? "yes" : /^DO NOT/.test(carried) ? "no" : "care");
   drawCards(answer);
   drawJoints(answer);
   drawFindings(element("findings"), answer.findings, false);

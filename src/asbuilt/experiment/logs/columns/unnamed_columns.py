@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -19,7 +19,7 @@ from asbuilt.experiment.gravity_load import (
     correlations,
     match_load,
 )
-from asbuilt.experiment.logs.columns.roles import parse_unit_scale
+from asbuilt.experiment.logs.columns.roles import parse_unit_scale, recognise
 from asbuilt.experiment.logs.formats.log_format import LogTable
 
 RADIANS_ARE_LESS = DEGREE**0.5
@@ -96,8 +96,15 @@ def draft_sheet(
     if time is not None and (unit := _guess_time_unit(t)) != "s":
         units["time"] = unit
         t = t * (parse_unit_scale(unit) or 1.0)
-    position, command, velocity, torques, degrees = _assign_roles(t, groups, model)
-    if degrees:
+    names = list(table.columns)
+    torques_by_name = {
+        i
+        for i, k in enumerate(begins)
+        if table.named and all(_is_torque(names[j]) for j in others[k : k + n_joints])
+    }
+    position, command, velocity, torques, degrees = _assign_roles(t, groups, model, torques_by_name)
+    # Whole numbers are counts, of which the check finds the unit.
+    if degrees and not _is_whole(groups[position]):
         units |= dict.fromkeys(["position"] if command is None else ["position", "command"], "deg")
     if velocity is not None:
         ratio = _measure_ratio(t, groups[position], groups[velocity])
@@ -238,20 +245,26 @@ def _estimate_rate(q: Array, qd: Array, degrees: bool) -> float | None:
     return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
 
 
+def _is_torque(name: str) -> bool:
+    role = recognise(name)
+    return role is not None and role.quantity in ("torque", "current")
+
+
 def _assign_roles(
-    t: Array, groups: list[Array], model: RobotModel | None
+    t: Array, groups: list[Array], model: RobotModel | None, torques: Set[int] = frozenset()
 ) -> tuple[int, int | None, int | None, list[int], bool]:
     """Return which groups are positions, commands, velocities and torques, the likeliest first.
 
     And whether the positions are degrees. A command is what one group alone follows closely, and
-    later; it is none of the other groups.
+    later; it is none of the other groups. Those of `torques` are torques by their names.
     """
-    moving = _find_derivative_pair(t, groups, range(len(groups)))
+    motions = [k for k in range(len(groups)) if k not in torques]
+    moving = _find_derivative_pair(t, groups, motions)
     # Difference of two groups, relative to their spread, up to which one is the command of the
     # other.
     close = [
         pair
-        for pair in combinations(range(len(groups)), 2)
+        for pair in combinations(motions, 2)
         if (moving is None or moving[0] in pair)
         and _measure_difference(*(groups[k] for k in pair)) < 0.3
     ]
@@ -267,14 +280,19 @@ def _assign_roles(
             leads = not _is_later(t, groups[i], groups[k])
         known, command = (k, i) if leads else (i, k)
     rest = [k for k in range(len(groups)) if k != command]
-    pair = _find_derivative_pair(t, groups, rest if known is None else [known], rest)
+    free = [k for k in rest if k not in torques]
+    pair = _find_derivative_pair(t, groups, free if known is None else [known], free)
     if pair is not None and command is not None and len(velocities) == 2:
         # Measured and commanded quantities stand in the same order.
         pair = (pair[0], velocities[int(pair[0] > command)])
         rest = [k for k in rest if k not in velocities or k == pair[1]]
-    position, velocity = pair or (rest[0] if known is None else known, None)
+    position, velocity = pair or ((free or rest)[0] if known is None else known, None)
     turned = bool(_find_largest(groups[position]) > LARGEST_RADIANS)
     others = [k for k in rest if k not in (position, velocity)]
+    if not others and velocity is not None and command is None:
+        # Friction makes a torque look like a velocity; a log without torque or command is useless.
+        others = [velocity]
+        velocity = None
     if model is None:
         return position, command, velocity, others, turned
     matches = [
@@ -286,7 +304,8 @@ def _assign_roles(
         if command is not None:
             match[:, command] = 0.0
     if velocity is None and known is None:
-        position = rest[int(np.argmax(np.max(matches, axis=(0, 2))))]
+        best = np.max(matches, axis=(0, 2))
+        position = max(free or rest, key=lambda k: best[rest.index(k)])
         others = [k for k in rest if k != position]
     plain, in_degrees = (match[rest.index(position)] for match in matches)
     degrees = _find_largest(groups[position]) > LARGEST_RADIANS or (
@@ -298,6 +317,11 @@ def _assign_roles(
         # what was commanded correlates better than what was measured.
         others.sort(key=lambda k: loads[k] < 0.8 * np.max(loads))
     return position, command, velocity, others, bool(degrees)
+
+
+def _is_whole(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(np.all(finite == np.round(finite)))
 
 
 def _measure_difference(one: Array, other: Array) -> float:

@@ -10,7 +10,14 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics import DriveSet, DriveTerm, available_terms, drive_columns
 from asbuilt.identification.drives.nonlinear_parameters import credible_range
-from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
+from asbuilt.identification.effects.effect import (
+    EFFECTS,
+    Described,
+    Effect,
+    FoundEffect,
+    Motion,
+    Variant,
+)
 from asbuilt.identification.effects.gathering import Candidate
 
 TRIALS = 4
@@ -133,13 +140,30 @@ def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) 
 def drop_terms(
     drive: DriveSet, places: Collection[tuple[str, str]], joint_names: Sequence[str]
 ) -> DriveSet:
-    """Return drive terms without those of some keys at some joints, by name."""
+    """Return drive terms without those of some keys at some joints, by name.
+
+    The simpler term that one replaces takes its place again.
+    """
+    n_joints = len(joint_names)
     for key, joint in places:
         term = next(term for term in drive.terms if term.key == key)
         left = {k for k, name in enumerate(joint_names) if term.is_at(k) and name != joint}
         drive = drive.without(key)
-        drive = drive.with_term(_place_term(term, left, len(joint_names))) if left else drive
+        drive = drive.with_term(_place_term(term, left, n_joints)) if left else drive
+        if term.stands_for is not None:
+            had = next((other for other in drive.terms if other.key == term.stands_for), None)
+            there = {k for k in range(n_joints) if had is not None and had.is_at(k)}
+            simple = had or available_terms()[term.stands_for]
+            drive = drive.with_term(
+                _place_term(simple, there | {joint_names.index(joint)}, n_joints)
+            )
     return drive
+
+
+def takes_place_of_simpler(effect: FoundEffect) -> bool:
+    """Return whether an effect is a drive term in place of a simpler one."""
+    term = getattr(EFFECTS[effect.effect], "term", None)
+    return term is not None and term.stands_for is not None
 
 
 def _take_forms(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: int) -> DriveTerm:
