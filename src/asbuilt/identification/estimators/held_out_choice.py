@@ -298,9 +298,9 @@ DIFFERENT_MOTIONS = 6
 """Groups of different motion that are held out; each is then about a sixth of a recording."""
 
 
-def group_neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
+def group_neighbours(n_blocks: int) -> list[Indices]:
     """Return the blocks in groups of neighbours, so that lasting residuals do not leak."""
-    count = min(n_groups, n_blocks)
+    count = min(MOST_FOLDS, n_blocks)
     # Parts that differ by one block at most.
     number = np.arange(n_blocks) * count // max(n_blocks, 1)
     return [np.flatnonzero(number == group) for group in range(count)]
