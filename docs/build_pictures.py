@@ -220,13 +220,17 @@ def home() -> None:
     """Renew the picture of the README and the home page."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        asbuilt.run_demo(folder)
+        held = asbuilt.run_demo(folder).study.validations[0]
         asbuilt.view_robot("kuka-iiwa7-r800", save=folder / "robot.png")
-        draw_home(folder)
+        metrics = (held.metrics_cad, held.metrics_as_built)
+        draw_home(folder, [100.0 * each.relative_error for each in metrics])
 
 
-def draw_home(folder: Path) -> None:
-    """Draw the torque of the demonstration at A5, which bears the gripper that CAD lacks."""
+def draw_home(folder: Path, errors: list[float]) -> None:
+    """Draw the torque of the demonstration at A5, which bears the gripper that CAD lacks.
+
+    `errors` of CAD and as built [%] are those that the demonstration prints.
+    """
     model = asbuilt.load_robot("kuka-iiwa7-r800")
     result = asbuilt.read_result(folder / "result.json")
     test = asbuilt.prepare_samples(asbuilt.read_recording(folder / "validation.csv", model=model))
@@ -246,10 +250,6 @@ def draw_home(folder: Path) -> None:
     ):
         right.plot(t[shown], values[shown, joint], **style)
     right.set(xlabel="time [s]", ylabel=f"torque of joint {model.joint_names[joint]} [N m]")
-    errors = [
-        100 * np.linalg.norm(each.measured - each.predicted) / np.linalg.norm(each.measured)
-        for each in (cad, built)
-    ]
     right.set_title(
         f"another motion: torque error {errors[0]:.1f} % from CAD, {errors[1]:.1f} % as built",
         fontsize=10,
