@@ -1,4 +1,7 @@
-"""Position servos in a study: what is unknown of them is identified before the robot."""
+"""Position servos in a study: what is unknown of them is identified before the robot.
+
+Study-level: the numerics are in `identification/servo`.
+"""
 
 from __future__ import annotations
 
