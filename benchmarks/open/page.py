@@ -104,6 +104,8 @@ def shown(kind: str, value: float) -> str:
     """Return an error: position errors in mrad, others as a part."""
     if kind == "command":
         return f"{1000 * value:.1f} mrad"
+    if kind == "twin":  # all near the errors of the log
+        return f"{100 * value:.2f} %"
     return f"{100 * value:.{3 if value < FEW else 1}f} %"
 
 
@@ -141,12 +143,13 @@ def _floor_text(task: str, results: dict[tuple[str, str], Row]) -> str:
     if not rows:
         return ""
     floor = next(iter(rows.values()))["floor"]
-    below = [name for name, row in rows.items() if row["error"] < floor]
+    below = sorted((row["error"], name) for name, row in rows.items() if row["error"] < floor)
     text = (
         f"By the score of the recorded log, the true torques of {task} have {shown('twin', floor)}"
     )
     if below:
-        text += f"; what is below fits errors of the log: {', '.join(below)}"
+        each = ", ".join(f"{name} {shown('twin', error)}" for error, name in below)
+        text += f"; what is below that has fitted errors of the log: {each}"
     return text + "."
 
 

@@ -292,14 +292,14 @@ def quantities(text: str) -> list[str]:
 def known_numbers() -> tuple[set[str], list[float]]:
     """Return the numbers of the prints and tasks as they are written, and those of the rows.
 
-    Percent and masses: errors, coverage and z of the rows, and the numbers of the robots' files.
+    Percent and masses: errors and coverage of the rows, and the numbers of the robots' files.
     """
     texts = [path.read_text(encoding="utf-8") for path in sorted(PRINTS.glob("*"))]
     texts += [path.read_text(encoding="utf-8") for path in sorted((HERE / "tasks").glob("*.toml"))]
     written = {each.lstrip("+-").rstrip(".") for text in texts for each in NUMBER.findall(text)}
     values: list[float] = []
     for row in read_results(RESULTS).values():
-        for key in ("error", "coverage"):
+        for key in ("error", "coverage", "true_error", "floor"):
             if row.get(key) is not None:
                 values.append(100.0 * row[key])
         written |= {each.rstrip(".") for each in NUMBER.findall(row.get("note") or "")}
