@@ -86,7 +86,7 @@ def copy_alone(log: Path, folder: Path) -> Path:
 def check_log(robot: str, log: Path, options: list[str]) -> tuple[str, str]:
     """Return the state that `check` prints, and the codes of its errors or its message."""
     command = [sys.executable, "-m", "asbuilt", "check", robot, str(log), *options, "--json"]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
     try:
         document = json.loads(run.stdout)
     except ValueError:

@@ -90,13 +90,14 @@ def test_an_answer_beyond_its_size_is_refused() -> None:
 
 def test_a_pool_that_is_closed_gives_up_what_is_under_way() -> None:
     pool = ChildPool(2, {})
-    assert pool.submit(abs, -2).result(60) == 2
-    sleeping = [pool.submit(time.sleep, 60) for _ in range(3)]
+    assert pool.submit(abs, -2).result() == 2
+    sleeping = [pool.submit(time.sleep, 3600) for _ in range(3)]
     began = time.monotonic()
     time.sleep(0.2)
     pool.close()
     assert all(each.cancelled() or each.exception() for each in sleeping)
-    assert time.monotonic() - began < 20.0
+    # Far less than they sleep, on a busy machine, too.
+    assert time.monotonic() - began < 1800.0
 
 
 def test_folders_of_a_process_that_was_killed_are_removed_by_the_next(

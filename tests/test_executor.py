@@ -154,7 +154,8 @@ def test_what_is_no_scheduler_is_one_error(kind: str, capfd: pytest.CaptureFixtu
             open_workers(scheduler=address),
         ):
             pass
-    assert time.monotonic() - began < 20.0
+    # It does not wait for ever, as it would for each of many tries.
+    assert time.monotonic() - began < 600.0
     assert capfd.readouterr().err == ""
 
 

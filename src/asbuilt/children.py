@@ -253,6 +253,30 @@ def read_cpu_time(process: int) -> float | None:
         return None
 
 
+def communicate_moving(process: subprocess.Popen[bytes]) -> tuple[bytes, bytes] | None:
+    """Return output and errors of a process once it ends; None if it was still too long and killed.
+
+    Still for `STILL` seconds; where the system does not tell CPU time, for `SLOWEST` times that.
+    """
+    known = -1.0
+    unseen = 0
+    while True:
+        try:
+            return process.communicate(timeout=STILL)
+        except subprocess.TimeoutExpired:
+            used = read_cpu_time(process.pid)
+            unseen += used is None
+            if used == known or unseen > SLOWEST:
+                process.kill()
+                process.communicate()
+                return None
+            known = -1.0 if used is None else used
+        except BaseException:
+            # Ctrl-C, too, leaves no process behind.
+            process.kill()
+            raise
+
+
 def _list_sizes(folder: Path) -> Iterator[int]:
     """Yield the sizes [bytes] of the files in a folder, which may vanish meanwhile."""
     for place, _, names in os.walk(folder):

@@ -266,10 +266,10 @@ def measure_depth(content: Any) -> int:
     return level
 
 
-def describe_problem(problem: BaseException, most: int = 200) -> str:
+def describe_problem(problem: BaseException) -> str:
     """Return why something failed in one short line, without the path, which the caller gives."""
     text = getattr(problem, "strerror", None) or str(problem).strip()
-    return shorten_line(str(text), most) or type(problem).__name__
+    return shorten_line(str(text)) or type(problem).__name__
 
 
 def shorten_line(text: str, most: int = 200) -> str:

@@ -34,7 +34,6 @@ from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.result.feasible import list_open
-from asbuilt.identification.statistics import exceeds
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.prepare import Prepared, Progress
@@ -339,10 +338,10 @@ def _find_unshown(
 ) -> set[tuple[str, str]]:
     """Return key and joint of an effect that nothing shows, the last one found first; else none.
 
-    Shown is an effect without which what was left out is surely predicted worse. It is asked of
-    those that are zero in some consistent bodies near the estimate, which stay only if shown, and
-    of terms in place of simpler ones. `needed` were shown before; `measure_gain` returns the gain
-    over a fit with other drive terms by time block, None where too little is left out.
+    Shown is an effect without which what was left out is predicted worse. It is asked of those that
+    are zero in some consistent bodies near the estimate, which stay only if shown, and of terms in
+    place of simpler ones. `needed` were shown before; `measure_gain` returns the gain over a fit
+    with other drive terms by time block, None where too little is left out.
     """
     names = final.model.joint_names
     in_drive = [effect for effect in effects.found if effect.effect in final.base.drive.keys]
@@ -353,7 +352,7 @@ def _find_unshown(
         if place in needed or not (is_open or takes_place_of_simpler(effect)):
             continue
         gain = measure_gain(drop_terms(final.base.drive, {place}, names))
-        if is_open if gain is None else not exceeds(gain, 1.0):
+        if is_open if gain is None else gain.mean() <= 0.0:
             return {place}
         needed.add(place)
     return set()

@@ -197,7 +197,7 @@ def test_what_is_no_regular_file_is_never_read(what: str, kind: str, ledger: Pat
             file.truncate(10**11)
     else:
         path.symlink_to("/dev/zero" if kind == "zero" else path.name)
-    began = time.monotonic()
+    began = time.process_time()
     if what == "entry":
         assert len(fleet_identify(ledger, "R1").result.sources) == 1
     elif what == "settings":
@@ -206,7 +206,7 @@ def test_what_is_no_regular_file_is_never_read(what: str, kind: str, ledger: Pat
     else:
         with pytest.raises(ResultError, match=r"ledger\.json"):
             fleet_overview(ledger)
-    assert time.monotonic() - began < 5.0
+    assert time.process_time() - began < 5.0
 
 
 def changed(document: Any, key: str, value: Any) -> Any:
@@ -286,10 +286,10 @@ def test_places_that_are_no_ledger(root: str) -> None:
 @pytest.mark.parametrize("pattern", ["*a" * 40 + "*{id}" + "*a" * 40 + "!", "*" * 200 + "{id}x",
     "{id}" + "*" * 200 + "!"])  # fmt: skip
 def test_no_pattern_takes_long(pattern: str, path: str) -> None:
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(UsageError, match="does not match"):
         make_identity_finder(pattern)(Path(path))
-    assert time.monotonic() - began < 5.0
+    assert time.process_time() - began < 5.0
     with pytest.raises(UsageError, match="at most"):
         make_identity_finder(pattern * 1 + "a" * 300)
 

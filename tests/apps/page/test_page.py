@@ -27,8 +27,8 @@ SHARED = Path(__file__).resolve().parents[4] / "shared"
 ActionChains = pytest.importorskip("selenium.webdriver").ActionChains
 pytestmark = pytest.mark.study
 SVG = "{http://www.w3.org/2000/svg}"
-LONGEST = 240.0
-"""Seconds of a step, on a machine that does more than this."""
+LONGEST = 600.0
+"""Seconds after which a page that has not changed hangs; a busy machine may take minutes."""
 GAINS = "--gain 14.87,13.26,11.13,10.62,11.03,11.47"
 JOINTS = {
     "Rotation": "shoulder_pan",
@@ -366,7 +366,7 @@ def test_curves_are_zoomed_and_saved_and_a_job_survives_a_reload(
     assert len(set(colours)) == 5
     for kind in ("svg", "png"):
         page.click(f"save-{kind}")
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + LONGEST
     paths = [saved / f"torque_shoulder_pan_joint.{kind}" for kind in ("svg", "png")]
     while not all(path.is_file() for path in paths) and time.monotonic() < end:
         time.sleep(0.1)

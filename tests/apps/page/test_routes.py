@@ -144,7 +144,7 @@ def draw_request(rng: random.Random, server: PageServer) -> bytes:
 
 def send(server: PageServer, request: bytes) -> bytes:
     """All that comes back for a request, after which nothing is sent."""
-    with socket.create_connection(server.server_address, timeout=30) as connection:
+    with socket.create_connection(server.server_address, timeout=600) as connection:
         reply = b""
         with suppress(OSError):
             connection.sendall(request)

@@ -27,6 +27,9 @@ from asbuilt.apps.page.choices import Choices
 from asbuilt.apps.page.server import PageServer
 from asbuilt.apps.page.session import Session
 
+PATIENCE = 600.0
+"""Seconds without an answer after which one is waited for in vain, on a busy machine, too."""
+
 TEMPLATES = Path(page_server.__file__).parent / "templates"
 
 
@@ -56,7 +59,7 @@ def ask(
     own = {"Host": server.hosts[0], "Origin": f"http://{server.hosts[0]}"}
     own["Cookie"] = f"other=1; asbuilt={server.cookie}"
     sent = {name: value for name, value in {**own, **headers}.items() if value is not None}
-    connection = http.client.HTTPConnection(*server.server_address, timeout=30)
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
     try:
         connection.putrequest(method, place, skip_host=True)
         for name, value in sent.items():
@@ -79,7 +82,7 @@ def test_it_listens_on_this_machine_alone(server: PageServer) -> None:
 def test_the_secret_is_exchanged_for_a_cookie_once(server: PageServer) -> None:
     url = server.url
     first = f"/{server.secret}/"
-    connection = http.client.HTTPConnection(*server.server_address, timeout=30)
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
     connection.request("GET", first)
     reply = connection.getresponse()
     page = reply.read().decode()
@@ -189,7 +192,7 @@ def test_uploads_stay_in_their_folder(server: PageServer, name: str, written: st
 
 
 def test_an_upload_that_ends_early_leaves_no_file(server: PageServer) -> None:
-    connection = http.client.HTTPConnection(*server.server_address, timeout=30)
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
     connection.putrequest("PUT", f"/{server.place}/files/1/log.csv", skip_host=True)
     for name, value in (
         ("Host", server.hosts[0]),
@@ -209,7 +212,7 @@ def test_an_upload_that_ends_early_leaves_no_file(server: PageServer) -> None:
 def test_an_upload_of_half_a_gigabyte_goes_to_disk_piece_by_piece(server: PageServer) -> None:
     piece, count = b"0.1,0.2,0.3,0.4\n" * 65_536, 500
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    connection = http.client.HTTPConnection(*server.server_address, timeout=300)
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
     connection.putrequest("PUT", f"/{server.place}/files/1/long.csv", skip_host=True)
     connection.putheader("Host", server.hosts[0])
     connection.putheader("Origin", f"http://{server.hosts[0]}")
@@ -246,7 +249,7 @@ def test_requests_that_make_no_sense_change_nothing(server: PageServer, body: by
 def test_a_download_has_one_clean_name(server: PageServer, name: str) -> None:
     server.session.folder.mkdir()
     (server.session.folder / name).write_bytes(b"content")
-    connection = http.client.HTTPConnection(*server.server_address, timeout=30)
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
     place = f"/{server.place}/files/{quote(name, safe='')}"
     connection.request("GET", place, headers={"Cookie": f"asbuilt={server.cookie}"})
     reply = connection.getresponse()
@@ -272,7 +275,7 @@ def test_a_size_that_is_none_is_refused(server: PageServer, size: str) -> None:
 
 def send(server: PageServer, request: bytes) -> bytes:
     """All that comes back for some bytes."""
-    with socket.create_connection(server.server_address, timeout=30) as connection:
+    with socket.create_connection(server.server_address, timeout=PATIENCE) as connection:
         connection.sendall(request)
         connection.shutdown(socket.SHUT_WR)
         reply = b""
@@ -295,7 +298,7 @@ def test_files_of_one_name_lie_side_by_side(server: PageServer) -> None:
 def test_uploads_that_are_cut_off_by_the_end_leave_nothing(server: PageServer) -> None:
     begun = []
     for number in range(20):
-        connection = http.client.HTTPConnection(*server.server_address, timeout=30)
+        connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
         connection.putrequest("PUT", f"/{server.place}/files/1/{number}.csv", skip_host=True)
         for name, value in (
             ("Host", server.hosts[0]),
@@ -307,7 +310,7 @@ def test_uploads_that_are_cut_off_by_the_end_leave_nothing(server: PageServer) -
         connection.endheaders(b"t,q_1\n")
         begun.append(connection)
     folder = server.session.uploads / "1"
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + PATIENCE
     while len([*folder.glob(".*.part")]) < 20 and time.monotonic() < end:
         time.sleep(0.01)
     server.shutdown()
@@ -331,13 +334,13 @@ def test_the_browser_is_started_without_the_secret_and_nothing_is_left(
     program = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     )
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + PATIENCE
     while not (tmp_path / "told").exists() and time.monotonic() < end:
         time.sleep(0.05)
     assert (folder / "open-in-browser.html").stat().st_mode & 0o777 == 0o600
     time.sleep(0.5)
     program.send_signal(number)
-    out, err = program.communicate(timeout=60)
+    out, err = program.communicate(timeout=PATIENCE)
     secret = json.loads(out)["url"].split("/")[-2]
     told = (tmp_path / "told").read_text()
     assert told.startswith("file://")

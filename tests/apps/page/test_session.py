@@ -19,6 +19,9 @@ from asbuilt.apps.page.session import STEPS, Job, Session
 from asbuilt.cli.app import app
 from asbuilt.errors import UsageError
 
+PATIENCE = 600.0
+"""Seconds without an answer after which one is waited for in vain, on a busy machine, too."""
+
 FINDING = {"code": "torque_sign", "severity": "error", "message": "the torques are flipped"}
 
 
@@ -36,7 +39,7 @@ class CannedWorker:
         self, arguments: tuple[str, ...], progress: Callable[[str, float], None]
     ) -> dict[str, Any]:
         progress("read", 0.0)
-        self.may_answer.wait(10.0)
+        self.may_answer.wait(PATIENCE)
         if arguments[0] == "check":
             finding = {**FINDING, "severity": self.severity}
             return {"recordings": [{"findings": [finding]}]}
@@ -72,7 +75,7 @@ def session(tmp_path: Path, log: Path, monkeypatch: pytest.MonkeyPatch) -> Sessi
 def settle(session: Session) -> None:
     """Wait until every step that follows by itself has its answer."""
     session.follow()
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + PATIENCE
     # The document is of one moment: between two steps there is none without a job.
     while session.as_document()["job"] is not None and time.monotonic() < end:
         time.sleep(0.005)

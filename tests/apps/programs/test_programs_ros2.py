@@ -160,7 +160,6 @@ class Made:
             check=False,
             env=environment,
             cwd=self.folder,
-            timeout=60,
         )
         return done, (
             [json.loads(line) for line in goals.read_text().splitlines()] if goals.exists() else []

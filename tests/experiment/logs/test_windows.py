@@ -48,6 +48,8 @@ def test_a_check_reads_what_holds_a_recording(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(names), comments="")
     found = check_recording("two-link", str(tmp_path / "log.csv"), window=":8")
     assert found.duration == pytest.approx(8.0, abs=0.02)
-    np.savetxt(tmp_path / "two.csv", 0.9 * table, delimiter=",", header=",".join(names), comments="")
+    np.savetxt(
+        tmp_path / "two.csv", 0.9 * table, delimiter=",", header=",".join(names), comments=""
+    )
     with pytest.raises(UsageError, match="takes one recording"):
         check_recording("two-link", [tmp_path / "log.csv", tmp_path / "two.csv"])

@@ -19,7 +19,7 @@ from asbuilt.identification.effects.effect import Effect
 from asbuilt.identification.effects.gathering import EFFECTS, Candidate
 from asbuilt.identification.effects.selection import Selection, _find_best_form
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
-from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.equations import MODEL, BlockRows
 from asbuilt.identification.information.rows import TimeBlock
 
 BASE, ALL, BLOCKS, SAMPLES = 4, 10, 12, 30
@@ -70,15 +70,14 @@ class Rows:
 
     def selection(self, candidates=CANDIDATES, applied=("one", "two", "whole")):
         own = [rows[:, :, np.append(s, ALL)] for rows, s in zip(self.joints, SUPPORT, strict=True)]
-        equations = Equations(
+        rows = BlockRows(
             {MODEL: BASE, EFFECTS: ALL - BASE},
             SUPPORT,
-            tuple(np.einsum("bni,bnj->bij", rows, rows) for rows in own),
+            tuple(own),
             (TimeBlock("log", 0.0, 1.0, SAMPLES),) * BLOCKS,
-            np.full((len(SUPPORT), BLOCKS), float(SAMPLES)),
         )
         prior = Prior(MEAN, self.root.T @ self.root, EFFECT)
-        return Selection(equations, candidates, ROBOT, prior, self.weights, GROUPS, applied)
+        return Selection(rows, candidates, ROBOT, prior, self.weights, GROUPS, applied)
 
     def data(self, inside, blocks=range(BLOCKS)):
         """Weighted rows of all joints and their torque."""

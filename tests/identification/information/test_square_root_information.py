@@ -479,3 +479,44 @@ def test_expected_scores_are_taken_from_the_torque(robot):
     again = reduce_rows(base, model.joint_names, rows.support, rows)
     for one, other in zip(changed.joint_factors, again.joint_factors, strict=True):
         np.testing.assert_allclose(one.T @ one, other.T @ other, rtol=1e-9, atol=1e-6)
+
+
+def test_short_blocks_keep_their_rows(robot) -> None:
+    model, base = robot
+    samples = recording(model)
+    information = accumulate(model, base, samples, block_seconds=0.1)
+    longest = max(block.n_samples for block in information.blocks)
+    for support, factors in zip(information.support, information.factors, strict=True):
+        assert factors.shape[1] == min(longest, len(support) + 1)
+    assert_same_information(information, joint_stacks(model, base, samples))
+    weights = np.linspace(0.5, 2.0, model.n_joints)
+    assert_same_gram(information.rows_of_block(3, weights), information.stacked(weights, 3))
+
+
+def test_sums_over_joints_are_the_squares_of_their_factor(robot) -> None:
+    model, base = robot
+    information = accumulate(model, base, recording(model))
+    weights = np.linspace(0.5, 2.0, model.n_joints)
+    factor = information.stacked(weights)
+    total = factor.T @ factor
+    assert np.allclose(information.summed(weights), total, rtol=0, atol=1e-12 * total.max())
+    root = np.linalg.inv(factor[:-1, :-1])
+    leverages = [
+        weight**2 * np.sum((own[:, :-1] @ root[support]) ** 2)
+        for own, support, weight in zip(
+            information.joint_factors, information.support, weights, strict=True
+        )
+    ]
+    assert information.spent(weights, root @ root.T) == pytest.approx(leverages, rel=1e-9)
+
+
+@pytest.mark.parametrize("parallel", [None, design_parallel_filter(8.0, 100.0, 3)])
+def test_a_filtered_sample_touches_the_samples_of_its_window(robot, parallel) -> None:
+    model, _ = robot
+    samples = recording(model, parallel=parallel, segments=((0, 700), (720, 1500)))
+    step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+    some = np.random.default_rng(4).random(samples.n_samples) < 0.01
+    for block in divide_into_blocks(model, [samples], 2.0):
+        begin = block.start + step * np.arange(block.first, block.last)
+        expected = [bool(some[k : k + width].any()) for k in begin]
+        assert block.touches(some).tolist() == expected

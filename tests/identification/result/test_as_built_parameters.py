@@ -33,7 +33,7 @@ def test_closest_to_cad_within_the_noise_of_the_torques(result, samples):
     predicted = predict_both(result.model, result.base, result.estimates, kept, samples)
     moved = (predicted.predicted - predicted.predicted_cad) / result.sigma
     chi_square = np.sum(moved**2)
-    # Without the rows themselves CAD's weak belief is in the metric too: a little is left over.
+    # The weak belief in CAD, which held the fit where torques are silent, is in the metric too.
     assert 0.9 * LIMIT < chi_square <= found.chi_square <= LIMIT
     assert np.all(np.abs(kept - result.estimates) <= np.sqrt(np.diag(result.covariance)))
     assert cad.divergence(found.parameters).sum() < cad.divergence(exact.parameters).sum()

@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from asbuilt.children import STILL, communicate_moving
 from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
 from asbuilt.description.formats.expansion import SECONDS
 from asbuilt.description.formats.urdf import read_urdf
@@ -26,8 +27,6 @@ from asbuilt.untrusted import (
     shorten_line,
 )
 
-PATIENCE = 600.0
-"""Seconds after which an expansion that does not use up its CPU time waits for what never comes."""
 PROGRAM = (
     "from asbuilt.description.formats.expansion import expand;"
     " expand({path!r}, {largest}, trusted={trusted}, arguments={arguments!r})"
@@ -60,25 +59,25 @@ def read_xacro(path: str | Path) -> RobotModel:
         trusted=trusted,
         arguments=list_xacro_arguments(),
     )
-    try:
-        done = subprocess.run(
-            build_isolated_command(program),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=PATIENCE,
-            check=False,
-            env=dict(os.environ) if trusted else build_isolated_environment({}),
-        )
-    except subprocess.TimeoutExpired:
+    process = subprocess.Popen(
+        build_isolated_command(program),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=dict(os.environ) if trusted else build_isolated_environment({}),
+    )
+    done = communicate_moving(process)
+    if done is None:
         raise DescriptionError(
-            f"{path}: xacro was stopped after {PATIENCE:.0f} s without progress", file=str(path)
-        ) from None
-    if -done.returncode == getattr(signal, "SIGXCPU", None):
+            f"{path}: xacro was stopped after {STILL:.0f} s without progress", file=str(path)
+        )
+    if -process.returncode == getattr(signal, "SIGXCPU", None):
         raise DescriptionError(
             f"{path}: xacro takes more than {SECONDS} s of computing to expand it", file=str(path)
         )
-    if done.returncode:
-        message = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
+    output, errors = done
+    if process.returncode:
+        message = errors.decode("utf-8", "replace").strip() or "no reason given"
         if name := _find_missing_argument(message):
             raise DescriptionError(
                 f"{path}: xacro needs a value of its argument {name!r}, which has no default",
@@ -95,7 +94,7 @@ def read_xacro(path: str | Path) -> RobotModel:
             file=str(path),
         )
     with name_file_in_errors(path):
-        return replace(read_urdf(done.stdout), source=str(path))
+        return replace(read_urdf(output), source=str(path))
 
 
 def _find_missing_argument(message: str) -> str:

@@ -170,12 +170,12 @@ class BaseParameters:
         """Ids of the kept columns, counted from 1."""
         return self.columns + 1
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each base parameter: the standard parameter whose column is kept."""
         return tuple(self.standard_names[column] for column in self.columns)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each base parameter."""
         return tuple(self.standard_units[column] for column in self.columns)

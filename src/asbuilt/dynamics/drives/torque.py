@@ -109,8 +109,10 @@ def _evaluate_shared_terms(
             state = (q[part], qd[part], qdd[part], None if load is None else load[part])
             columns = np.empty((s, *state[0].shape))
             term.evaluate(*state, columns)
-            for column_of_term, factors in zip(columns[:, :, joints], own.T, strict=True):
-                torque[part, joints] += column_of_term * factors
+            torque[part, joints] += sum(
+                column_of_term * factors
+                for column_of_term, factors in zip(columns[:, :, joints], own.T, strict=True)
+            )
     return torque
 
 

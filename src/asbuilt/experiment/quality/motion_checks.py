@@ -8,14 +8,19 @@ from typing import Literal
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.dynamics import find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.gravity_checks import measure_gravity_share
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
+from asbuilt.experiment.quality.torque_fit import (
+    USUAL_FRICTION,
+    TorqueFit,
+    compare_by_any_masses,
+)
 from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
@@ -351,6 +356,8 @@ def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
     )
 
 
+_SQUARABLE = 1e-4
+"""Singular value, relative to the largest, from which on its square has digits enough."""
 _RANK_TOLERANCE = 1e-7
 """Singular value or column norm, relative to the largest, below which it counts as zero."""
 
@@ -363,7 +370,7 @@ def check_excitation(
     The observation matrix belongs to the base parameters with viscous, Coulomb and offset terms,
     its columns scaled to unit length.
     """
-    base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
+    base = find_base_parameters(model, USUAL_FRICTION)
     if recording.n_samples < base.n_base:
         yield Finding(
             # Least squares of fewer rows than parameters determines nothing, whatever the motion.
@@ -390,9 +397,7 @@ def check_excitation(
     lengths = np.linalg.norm(observed, axis=0)
     # A column without excitation keeps its length, so that it counts as zero in the rank.
     lengths[lengths <= _RANK_TOLERANCE * np.max(lengths)] = 1.0
-    # The triangle has the singular values of all rows.
-    triangle = np.linalg.qr(observed / lengths, mode="r")
-    _, values, directions = np.linalg.svd(triangle, full_matrices=False)
+    values, directions = _decompose(observed, lengths)
     rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
     # The last direction is the least excited.
     worst = join_names([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
@@ -419,3 +424,15 @@ def check_excitation(
                 call="design_motion",
             ),
         )
+
+
+def _decompose(observed: Array, lengths: Array) -> tuple[Array, Array]:
+    """Return singular values, largest first, and right vectors of columns divided by lengths."""
+    gram = observed.T @ observed / np.outer(lengths, lengths)
+    squares, axes = np.linalg.eigh(gram)
+    if squares[0] > _SQUARABLE**2 * squares[-1]:
+        return np.sqrt(squares[::-1]), axes.T[::-1]
+    # The triangle has the singular values of all rows, with all digits.
+    triangle = np.linalg.qr(observed / lengths, mode="r")
+    _, values, directions = np.linalg.svd(triangle, full_matrices=False)
+    return values, directions

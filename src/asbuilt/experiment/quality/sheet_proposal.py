@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,9 @@ class SheetProposal:
     def text(self) -> str:
         """The sheet as TOML, with the reasons as comments."""
         head = ["# How the log is read, as asbuilt check found it; correct what is wrong."]
-        head += [f"# {line}" for reason in self.reasons for line in _fold(reason)]
+        # Names and paths stay whole.
+        fold = TextWrapper(76, break_long_words=False, break_on_hyphens=False).wrap
+        head += [f"# {line}" for reason in self.reasons for line in fold(reason)]
         return "\n".join([*head, *format_sheet(self.content)]) + "\n"
 
 
@@ -391,13 +394,3 @@ def _find_span(value: Any) -> str:
     rises = numbers == [*range(numbers[0], numbers[0] + len(numbers))]
     text = f"{listed[0]}-{listed[-1]}"
     return json.dumps(text, ensure_ascii=False) if len(stems) == 1 and rises else ""
-
-
-def _fold(text: str, width: int = 76) -> list[str]:
-    """Return a text in lines of a width."""
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return lines

@@ -241,8 +241,8 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     # Where rigid bodies say nothing friction does.
-    friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
-    braking = np.flatnonzero(unclear & (friction < -BRAKING)).tolist()
+    friction = sign * fit.correlate_friction(np.flatnonzero(unclear))
+    braking = np.flatnonzero(friction < -BRAKING).tolist()
     braking = [k for k in braking if k not in alone]
     for k in alone:
         yield _report_opposite_sign(recording, fit, k, sign, alone, gain[k])
@@ -341,7 +341,7 @@ def _report_opposite_sign(
             Cure("describe what is mounted, or identify: masses are found"),
             joint=name,
         )
-    braking = sign * fit.friction_correlation[k] < -BRAKING
+    braking = sign * fit.correlate_friction([k])[k] < -BRAKING
     sure = (by_masses > 0 or braking) and "sign" not in recording.first.stated
     return Finding(
         "joint_torque_flipped",

@@ -63,6 +63,8 @@ def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
     return tuple(changed)
 
 
+USUAL_FRICTION = DriveSet.parse("viscous,coulomb,offset")
+"""Friction of any joint; finding base parameters takes long, so that all checks ask for these."""
 BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""
 COUNTS = 0.02
@@ -120,19 +122,26 @@ class TorqueFit:
 
         They belong to the base parameters under the description's gravity.
         """
-        drive = DriveSet.parse("viscous,offset")
-        base = find_base_parameters(self.model, drive)
+        columns = self._columns
         samples, n = self.q.shape
-        W = np.zeros((samples, n, base.n_base + n))
-        W[:, :, : base.n_base] = observation_matrix(
+        W = np.zeros((samples, n, len(columns) + n))
+        W[:, :, : len(columns)] = observation_matrix(
             self.model.with_gravity(gravity),
             *(self.q, self.qd, self.qdd),
-            drive=drive,
-            columns=base.columns,
+            drive=USUAL_FRICTION,
+            columns=columns,
         ).reshape(samples, n, -1)
         # Coulomb friction as a smooth sign: a jump at rest would fit noise.
-        W[:, range(n), range(base.n_base, base.n_base + n)] = np.tanh(self.qd / BREAKAWAY)
+        W[:, range(n), range(len(columns), len(columns) + n)] = np.tanh(self.qd / BREAKAWAY)
         return W
+
+    @property
+    def _columns(self) -> Indices:
+        """Columns of bodies, viscous friction and offsets of `USUAL_FRICTION`."""
+        base = find_base_parameters(self.model, USUAL_FRICTION)
+        (term,) = (term for term in USUAL_FRICTION.terms if term.key == "coulomb")
+        coulomb = [name.startswith(tuple(term.symbols)) for name in base.names]
+        return np.asarray(base.columns[~np.array(coulomb)])
 
     def normal_equations(self, W: Array) -> NormalEquations:
         """Return the normal equations of columns (N, n, p), torques scaled to unit variance."""
@@ -184,9 +193,9 @@ class TorqueFit:
         # qdd = qd from rest without gravity: the torque is M(q) qd.
         moved = replace(self, qd=rest, qdd=self.qd).observe(np.zeros(3))
         # The last columns are friction, and viscous friction and offsets have no part in energy.
-        base = find_base_parameters(self.model, DriveSet.parse("viscous,offset"))
-        bodies = base.columns < 10 * base.n_links
-        torque = moved[:, :, : base.n_base][:, :, bodies] @ beta[: base.n_base][bodies]
+        columns = self._columns
+        bodies = columns < 10 * len(self.model.links)
+        torque = moved[:, :, : len(columns)][:, :, bodies] @ beta[: len(columns)][bodies]
         return float(np.mean(np.sum(self.qd * torque, axis=1)))
 
     @cached_property
@@ -247,18 +256,25 @@ class TorqueFit:
 
     @property
     def friction_correlation(self) -> Array:
-        """Correlation of each joint's torque with its direction of motion, shape (n,).
+        """Correlation of each joint's torque with its direction of motion, (n,)."""
+        return self.correlate_friction(range(self.model.n_joints))
+
+    def correlate_friction(self, joints: Iterable[int]) -> Array:
+        """Return the correlation of some joints' torque with their direction of motion, (n,).
 
         The rigid-body torque of any masses is projected out of both, so CAD values do not matter;
-        joints whose friction is less than a tenth of their torque get 0.
+        joints whose friction is less than a tenth of their torque get 0, and so do all others.
         """
+        correlation = np.zeros(self.model.n_joints)
+        asked = list(joints)
+        if not asked:
+            return correlation
         base = find_base_parameters(self.model, DriveSet.parse("offset"))
         observed = observation_matrix(
             self.model, self.q, self.qd, self.qdd, drive=base.drive, columns=base.columns
         )
         rows = observed.reshape(*self.q.shape, base.n_base)
-        correlation = np.zeros(self.model.n_joints)
-        for k in range(self.model.n_joints):
+        for k in asked:
             lengths = np.linalg.norm(rows[:, k], axis=0)
             basis, values, _ = np.linalg.svd(
                 rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False

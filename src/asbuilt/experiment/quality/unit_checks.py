@@ -37,6 +37,11 @@ WITHIN = 1.2
 """Positions, relative to the limits of a joint, up to which a unit is possible."""
 FOLLOW = 0.95
 """Correlation of velocities with the derivative of the positions from which only units differ."""
+USUAL_VELOCITIES = (1.0, DEGREE, math.pi / 30.0, 2.0 * math.pi)
+"""Radians, degrees and turns a second, and turns a minute, in rad/s."""
+COUNTED = 0.02
+"""Difference of velocities and the derivative of counts, relative to one, up to which they agree:
+usual counts of a turn differ by five times as much."""
 KNOWN_VELOCITIES = {
     "rpm": math.pi / 30.0,
     "0.229 rpm": 0.229 * math.pi / 30.0,
@@ -135,11 +140,13 @@ def find_counts(
         return Counts(0, 0, largest, names)
     best = ranked[0]
     alike = [each for each in ranked if left[best] > CLEARLY_LESS * left[each]]
-    # Where positions start again a turn ends.
+    # Where positions start again a turn ends; velocities in a usual unit count it.
     ends = [each for each in alike if _is_near(each[0], _find_wrap(recording))]
-    best = ends[0] if ends else best
+    timed = [each for each in alike if _agrees_with_velocities(motion, each[0])]
+    told = ends or (timed if len({turn for turn, _ in timed}) == 1 else [])
+    best = told[0] if told else best
     # Two counts that explain about as much leave the turn open.
-    if len(alike) > 1 and not ends:
+    if len(alike) > 1 and not told:
         turns = tuple(dict.fromkeys(turn for turn, _ in alike))
         return Counts(0, 0, largest, names, alike=turns)
     others = {
@@ -164,6 +171,22 @@ def _find_wrap(recording: FirstPass) -> float:
 def _is_near(turn: int, wrap: float) -> bool:
     # Notes have six digits.
     return abs(turn - wrap) < 1e-5 * turn
+
+
+def _agrees_with_velocities(motion: SmoothedMotion, turn: int) -> bool:
+    """Return whether logged velocities in a usual unit are the derivative of these counts."""
+    if motion.logged_qd is None:
+        return False
+    energy = np.sum(motion.logged_qd**2, axis=0)
+    moves = (energy > 0.0) & (np.std(motion.qd, axis=0) > 0.0)
+    if not moves.any():
+        return False
+    # Counts a second for each unit of velocity.
+    gains = np.sum(motion.qd * motion.logged_qd, axis=0)[moves] / energy[moves]
+    gain = float(np.median(gains))
+    return any(
+        abs(gain / (turn * unit / (2.0 * math.pi)) - 1.0) < COUNTED for unit in USUAL_VELOCITIES
+    )
 
 
 KNOWN_POSITIONS = {

@@ -154,10 +154,11 @@ def find_standard_parameters(
     *,
     nearest: bool = False,
     information: ArrayLike | None = None,
+    noise_root: Array | None = None,
 ) -> StandardParameters:
     """Return the standard parameters with `K chi = beta` of least divergence from CAD.
 
-    With `information` and a consistent beta, they have the least divergence from CAD among all that
+    With `noise_root` and a consistent beta, they have the least divergence from CAD among all that
     move the torques of the data by less than their noise: what torques do not determine stays near
     CAD.
 
@@ -177,9 +178,12 @@ def find_standard_parameters(
     nearest
         Whether the nearest consistent beta replaces an inconsistent one.
     information
-        Matrix A (p, p) of the distance `(K chi - beta)^T A (K chi - beta)`, whose limit is `LIMIT`:
-        the information of the data used, torque in units of its noise. None: a consistent beta is
-        kept exactly, an inconsistent one is measured in random motion.
+        Matrix A (p, p) of the distance `(K chi - beta)^T A (K chi - beta)` of the nearest: the
+        information of the data used, or of random motion by default.
+    noise_root
+        R (r, p) with `R^T R` the information of what beta was fitted to, torque in units of its
+        noise and whatever held beta besides; the limit of `|R (K chi - beta)|^2` is `LIMIT`. None:
+        a consistent beta is kept exactly.
 
     Raises
     ------
@@ -223,11 +227,13 @@ def find_standard_parameters(
         )
         chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
     plausible = None
-    if exact and information is not None and not np.any(alone < 0.0):
-        root = Scaled(np.asarray(information, dtype=np.float64)).root
-        # A beta that is sharper than rounding is kept exactly, as in simulations.
-        if len(root) and np.linalg.norm(root @ asked) <= STANDARD_SHARPEST:
-            plausible = find_plausible_parameters(cad, base, asked, root, LIMIT)
+    # A beta that is sharper than rounding is kept exactly, as in simulations.
+    if (
+        (exact and noise_root is not None and not np.any(alone < 0.0))
+        and len(noise_root)
+        and np.linalg.norm(noise_root @ asked) <= STANDARD_SHARPEST
+    ):
+        plausible = find_plausible_parameters(cad, base, asked, noise_root, LIMIT)
     chi = (
         plausible[0]
         if plausible is not None

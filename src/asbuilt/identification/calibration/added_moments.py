@@ -67,7 +67,6 @@ def identify_added_moments(
     *,
     unloaded: Sequence[Samples] = (),
     frame: str | None = None,
-    block_seconds: float | None = None,
 ) -> AddedMoments:
     """Identify first moments and mass that a weight adds to the link of a frame.
 
@@ -87,9 +86,7 @@ def identify_added_moments(
     name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
     start = np.concatenate([result.estimates, np.zeros(10)])
-    rows = PayloadRows.of(
-        result, loaded, unloaded, link, shift_matrix(placement), start, block_seconds
-    )
+    rows = PayloadRows.of(result, loaded, unloaded, link, shift_matrix(placement), start, None)
     groups = _group_blocks(rows)
     if len(groups) < FEWEST_BLOCKS:
         raise IdentifiabilityError(

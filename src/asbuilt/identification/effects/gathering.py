@@ -1,4 +1,4 @@
-"""One pass over the samples: normal equations of the model and of all effects it may lack."""
+"""One pass over the samples: rows of the model and of all effects it may lack."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, find_places
-from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.equations import MODEL, BlockRows
 from asbuilt.identification.information.rows import (
     ROWS,
     KeptRows,
@@ -22,6 +22,7 @@ from asbuilt.identification.information.rows import (
     TimeBlock,
     divide_into_blocks,
 )
+from asbuilt.identification.information.triangular import shorten_columns, stack_blocks
 
 EFFECTS = "effects"
 """Group of the columns of all candidates."""
@@ -66,14 +67,14 @@ class Candidate:
         return self.term is not None and any(parameter.fitted for parameter in self.term.nonlinear)
 
 
-def gather_equations(
+def gather_rows(
     robot: Described,
     samples: Iterable[Samples],
     effects: Iterable[Effect],
     block_seconds: float,
     kept: KeptRows | None = None,
-) -> tuple[Equations, tuple[Candidate, ...]]:
-    """Reduce samples to the normal equations of a model and of effects, in one pass.
+) -> tuple[BlockRows, tuple[Candidate, ...]]:
+    """Return the rows of a model and of effects by time block, in one pass over samples.
 
     Candidates of the effects are returned, too: where each has its columns.
 
@@ -98,26 +99,24 @@ def gather_equations(
     support = [np.concatenate(both) for both in zip(plan.support, slots, strict=True)]
     # a joint has not every slot, but torque
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
-    grams: list[tuple[Array, ...]] = []
     # The torque is one spare row more, after all columns of effects.
+    found: list[list[Array]] = []
     times: list[TimeBlock] = []
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
         for part in divide_into_blocks(robot.model, samples, block_seconds, kept):
             rows = part.rows(plan, partial(columns, part))
             # Slots that a joint does not have hold zeros, and go before the blocks are kept.
-            own = [rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True)]
-            grams.append(tuple(each @ each.T for each in own))
+            own = (rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True))
+            found.append([shorten_columns(each) for each in own])
             times.append(part.time)
-    n_samples = [block.n_samples for block in times]
-    equations = Equations(
+    gathered = BlockRows(
         {MODEL: base.n_base, EFFECTS: size - base.n_base},
         tuple(s[s >= 0] for s in support),
-        tuple(map(np.array, zip(*grams, strict=True))),
+        tuple(map(stack_blocks, zip(*found, strict=True))),
         tuple(times),
-        np.tile(np.array(n_samples, dtype=np.float64), (len(support), 1)),
     )
-    return equations, tuple(candidates)
+    return gathered, tuple(candidates)
 
 
 def _place_candidates(

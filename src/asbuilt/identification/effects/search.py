@@ -20,7 +20,7 @@ from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearPlace, fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, FoundEffect
 from asbuilt.identification.effects.families.drive_terms import with_terms
-from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
+from asbuilt.identification.effects.gathering import At, Candidate, gather_rows
 from asbuilt.identification.effects.selection import Lacking, Selection
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.estimators.auto import design_effect, prior_information
@@ -29,7 +29,7 @@ from asbuilt.identification.estimators.held_out_choice import group_different_mo
 from asbuilt.identification.estimators.least_squares import (
     ROUGH_WEIGHTS,
     WEIGHT_CONVERGENCE,
-    fit_least_squares,
+    joint_noise,
 )
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.information.square_root_information import (
@@ -111,7 +111,7 @@ def find_effects(
 ) -> Effects:
     """Find the effects that a description lacks, and add them to its model.
 
-    Each pass over the samples gives the normal equations of the model and of all effects, about a
+    Each pass over the samples gives the rows of the model and of all effects, about a
     physically consistent fit; a selection takes effects one at a time (`Selection`). A base tilt is
     put into gravity, and everything is asked again.
 
@@ -320,11 +320,9 @@ class _Search:
             return accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
 
         def left(seen: SquareRootInformation, settled: float = WEIGHT_CONVERGENCE) -> float:
-            fit = fit_least_squares(
-                seen, weights="joint", prior=np.zeros(base.n_base), settled=settled
-            )
+            noise = joint_noise(seen, np.zeros(base.n_base), settled)
             # The logarithm, so that joints of small torques count as much as others.
-            return float(np.mean(np.log(fit.sigma[np.isfinite(fit.sigma)])))
+            return float(np.mean(np.log(noise[np.isfinite(noise)])))
 
         starts = [
             (each, start)
@@ -422,14 +420,12 @@ class _Search:
             )
         effect = design_effect(seen, fit)
         robot = _describe_robot(model, base, fit.standard, samples)
-        equations, candidates = gather_equations(
-            robot, samples, self.wanted, self.seconds, self.kept
-        )
+        rows, candidates = gather_rows(robot, samples, self.wanted, self.seconds, self.kept)
         # CAD counts once per independent sample, as the data do.
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
-        selection = Selection(equations, candidates, robot, cad, fit.weights, groups, self.applied)
+        selection = Selection(rows, candidates, robot, cad, fit.weights, groups, self.applied)
         # Columns of what is taken out stay free: they take what the linearisation left.
         selection.taken = [selection.candidate(trial.candidate.at) for trial in removed]
         selection.impossible = self.impossible

@@ -15,7 +15,7 @@ from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import EFFECTS, At, Candidate
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.equations import Equations
+from asbuilt.identification.information.equations import BlockRows
 from asbuilt.identification.statistics import exceeds
 from asbuilt.identification.uncertainty.bias import (
     OmittedBias,
@@ -33,7 +33,7 @@ class Selection(Trials):
 
     def __init__(
         self,
-        equations: Equations,
+        rows: BlockRows,
         candidates: Sequence[Candidate],
         robot: Described,
         prior: Prior,
@@ -42,7 +42,7 @@ class Selection(Trials):
         applied: Collection[str],
     ) -> None:
         """Take what `Trials` takes, the robot, and the keys of effects that models may have."""
-        super().__init__(equations, candidates, prior, weights, groups)
+        super().__init__(rows, candidates, prior, weights, groups)
         self.robot = robot
         self.held = robot.model.has_masses
         """Whether CAD holds the bodies."""
@@ -291,11 +291,11 @@ class Lacking:
 
     `values` (m,) and `covariance` are from one fit with all that is in the model, `sizes` (m,) what
     they usually are. Effects that are in the model as constants, such as a tilt, have the value 0:
-    only their error counts. `names` (P,) name the parameters in the equations, empty where a column
+    only their error counts. `names` (P,) name the parameters in the rows, empty where a column
     has none.
     """
 
-    equations: Equations
+    rows: BlockRows
     names: tuple[str, ...]
     columns: Indices
     values: Array
@@ -312,7 +312,7 @@ class Lacking:
         And those that any robot may have, such as a tilt too small or too much like something else
         to be taken.
 
-        `removed` are the values of effects that the equations are without.
+        `removed` are the values of effects that the rows are without.
         """
         candidates = list(out)
         busy = {candidate.slot for candidate in selection.taken}
@@ -341,7 +341,7 @@ class Lacking:
             if _is_wide(candidate, covariance)
         ]
         return cls(
-            selection.equations,
+            selection.rows,
             _list_names(selection),
             np.concatenate([candidate.places for candidate in (*candidates, *doubted)]),
             np.concatenate([values for values, _, _ in parts]),
@@ -388,14 +388,13 @@ class Lacking:
     def _follows(self, fit: Fit, weights: Array) -> Array:
         """Return how weighted least squares moves (p, m) with the values of the columns."""
         place = {name: j for j, name in enumerate(self.names) if name}
-        # Parameters of the fit that the equations of the search do not have cannot follow.
+        # Parameters of the fit that the rows of the search do not have cannot follow.
         kept = np.array([k for k, name in enumerate(fit.base.names) if name in place])
         places = np.array([place[fit.base.names[k]] for k in kept])
-        gram = self.equations.stacked(weights)[:-1, :-1]
         follows = np.zeros((fit.base.n_base, len(self.columns)))
         # (W^T W)^-1 W^T C, Frisch and Waugh.
-        follows[kept] = Scaled(gram[np.ix_(places, places)]).solve(
-            gram[np.ix_(places, self.columns)]
+        follows[kept] = Scaled(self.rows.inner(weights, places, places)).solve(
+            self.rows.inner(weights, places, self.columns)
         )
         return follows
 
@@ -435,8 +434,8 @@ def _is_constant(candidate: Candidate, selection: Selection) -> bool:
 
 
 def _list_names(selection: Selection) -> tuple[str, ...]:
-    """Return the names of the model's parameters in the equations, and of terms added to it."""
-    names = [*selection.robot.base.names, *[""] * selection.equations.groups[EFFECTS]]
+    """Return the names of the model's parameters in the rows, and of terms added to it."""
+    names = [*selection.robot.base.names, *[""] * selection.rows.groups[EFFECTS]]
     for candidate in selection.taken:
         if (
             candidate.term is None

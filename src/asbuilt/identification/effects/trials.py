@@ -10,10 +10,10 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.special import chdtrc, fdtrc
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate
-from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.equations import MODEL, BlockRows, Squares
 from asbuilt.identification.statistics import estimate_mean_error
 
 
@@ -142,15 +142,51 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Hold a fit without some columns c: parameters, and how a unit of each column moves them.
+    """Hold a fit without some columns (c,): parameters, and how a unit of each column moves them.
 
-    `residual` (P + 1,) are the coefficients of the residual, `moves` (P + 1, c) its change.
+    `residual` (P + 1,) are the coefficients of the residual: minus the values, and one for the
+    torque. A unit of a column changes it by `moves` (i, c) at the places `inside` (i,), and by
+    minus one at the column itself. `across` (c, i) are products of the columns with those inside,
+    `score` (c,) with the residual.
     """
+
+    squares: Squares
+    residual: Array
+    inside: Indices
+    columns: Indices
+    moves: Array
+    across: Array
+    score: Array
+
+    def schur(self, c: Indices) -> Array:
+        """Return the Schur complement of some of the columns given the parameters inside."""
+        places = self.columns[c]
+        return self.squares.at(places, places) - self.across[c] @ self.moves[:, c]
+
+    def moved(self, c: Indices, d: Array, n: int) -> Array:
+        """Return the first n coefficients of the residual when columns beyond n have values d."""
+        found = self.residual[:n].copy()
+        model = self.inside < n
+        found[self.inside[model]] += self.moves[model][:, c] @ d
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Errors:
+    """Hold residuals of rows (B, n, m) of some blocks, and their change (B, n, m, c) by columns."""
 
     residual: Array
     moves: Array
-    schur: Array
-    score: Array
+
+    def squares(self, c: Indices, d: Array) -> Array:
+        """Return the squared error (n,) of each joint when the columns c have the values d."""
+        error = self.residual + self.moves[..., c] @ d
+        return np.asarray(np.einsum("bnm,bnm->n", error, error))
+
+    def scores(self, c: Indices, d: Array) -> Array:
+        """Return the scores (B, c) of each block's columns with these values."""
+        own = self.moves[..., c]
+        return np.asarray(-np.einsum("bnmc,bnm->bc", own, self.residual + own @ d))
 
 
 class Trials:
@@ -162,30 +198,27 @@ class Trials:
 
     def __init__(
         self,
-        equations: Equations,
+        rows: BlockRows,
         candidates: Sequence[Candidate],
         prior: Prior,
         weights: Array,
         groups: Sequence[Indices],
     ) -> None:
-        """Take equations, candidates, prior, weights of the joints (n,), and groups of blocks."""
-        self.equations = equations
+        """Take rows, candidates, prior, weights of the joints (n,), and groups of blocks."""
+        self.rows = rows
         self.candidates = candidates
         self.prior = prior
         self.weights = weights
-        self.n_base = equations.groups[MODEL]
+        self.n_base = rows.groups[MODEL]
+        self._groups = groups
         # A fit is the coefficients (-values, 1) of its residual: every square is a form in this
         # matrix.
-        self._total = equations.stacked(weights)
-        length = np.diag(self._total)
+        self._total = rows.squares(weights)
+        length = self._total.diagonal
         self._size = np.sqrt(length)
         self._acts = length > RULES.acting * _find_largest(candidates, length)
-        self._groups = groups
-        self._place = np.full((equations.n_joints, equations.n_columns), -1)
-        for place, support in zip(self._place, equations.support, strict=True):
-            place[support] = np.arange(len(support))
-        self._n_samples = max(int(equations.lengths.sum()), 1)
-        rms = np.sqrt(np.array([gram[-1, -1] for gram in equations.of_joints]) / self._n_samples)
+        self._n_samples = max(rows.n_samples, 1)
+        rms = np.sqrt(_sum_torques(rows) / self._n_samples)
         # A joint without torque would divide by zero; below rounding of the others it has none.
         tiny = np.finfo(np.float64).tiny
         least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
@@ -196,52 +229,34 @@ class Trials:
     # What only trials ask is derived by the first one: a search settles values without any.
 
     @cached_property
-    def _without(self) -> list[Array]:
+    def _without(self) -> list[Squares]:
         """The training equations of each group: the total less the group's, without a pass."""
-        stacked = self.equations.stacked
-        return [self._total - stacked(self.weights, group) for group in self._groups]
-
-    @cached_property
-    def _of_joints(self) -> list[list[tuple[Indices, Array]]]:
-        """Places and Gram matrix of each joint on each group."""
-        equations = self.equations
-        return [
-            [
-                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
-                for support, gram in zip(equations.support, equations.grams, strict=True)
-            ]
-            for group in self._groups
-        ]
+        squares = self.rows.squares
+        return [self._total.less(squares(self.weights, group)) for group in self._groups]
 
     @cached_property
     def _torque(self) -> Array:
         """Squared torque of each held-out group and joint."""
-        return np.array([[gram[-1, -1] for _, gram in joints] for joints in self._of_joints])
+        return np.array([_sum_torques(self.rows, group) for group in self._groups])
 
     @cached_property
-    def _blocks(self) -> list[tuple[Indices, Array]]:
-        """Places and weighted Gram matrix of all joints of each block."""
-        every = np.arange(self.equations.n_columns + 1)
-        return [(every, gram) for gram in self.equations.stacked_blocks(self.weights)]
-
-    @cached_property
-    def _halves(self) -> list[Array]:
-        """Weighted Gram matrix of all joints on each half of the blocks."""
-        halves = np.array_split(np.arange(self.equations.n_blocks), 2)
-        return [self.equations.stacked(self.weights, half) for half in halves]
+    def _halves(self) -> tuple[Squares, Squares]:
+        """Squares of either half of the blocks."""
+        first = np.array_split(np.arange(self.rows.n_blocks), 2)[0]
+        half = self.rows.squares(self.weights, first)
+        return half, self._total.less(half)
 
     @cached_property
     def _apart(self) -> Array:
         """Squared part of each column outside the model's own, in its length, (P,)."""
-        gram = self._total[:-1, :-1]
         model = self._list_inside(())
+        every = np.arange(self.rows.n_columns)
         # Unit columns, so that the tolerance is a share.
-        size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
-        scaled = gram / np.outer(size, size)
-        inverse = np.linalg.pinv(scaled[np.ix_(model, model)], rcond=RULES.separate, hermitian=True)
-        across = scaled[model]
+        size = np.sqrt(np.maximum(self._total.diagonal[:-1], np.finfo(np.float64).tiny))
+        across = self._total.at(model, every) / np.outer(size[model], size)
+        inverse = np.linalg.pinv(across[:, model], rcond=RULES.separate, hermitian=True)
         # Schur complement of a unit column: 1 - g^T G^+ g.
-        return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
+        return np.asarray(1.0 - np.einsum("ij,ij->j", across, inverse @ across))
 
     def _is_shown(self, candidate: Candidate, least: float = RULES.shown) -> bool:
         """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
@@ -296,12 +311,12 @@ class Trials:
         ]
         places = np.concatenate([candidate.places for candidate in candidates])
         whole = self._fit(self._total, self._list_inside(others), places)
-        d = np.asarray(np.linalg.solve(whole.schur, whole.score))
-        both = np.column_stack([whole.residual, whole.moves])
+        every = np.arange(len(places))
+        schur = whole.schur(every)
+        d = np.asarray(np.linalg.solve(schur, whole.score))
         # Scores of a block are its columns times its residual; they sum to zero at the fit.
-        blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
-        left = np.array([-block[:, 0] - block[:, 1:] @ d for block in blocks])
-        return d, _estimate_scatter(whole.schur, left, d)[0]
+        left = self._errors(whole, self.weights).scores(every, d)
+        return d, _estimate_scatter(schur, left, d)[0]
 
     def values_by_data(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return what `values_of` does, of a fit that does not know CAD."""
@@ -322,8 +337,12 @@ class Trials:
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
         x = self.values_of([candidate])[0]
-        fits = (self._fit(gram, inside, candidate.places) for gram in self._halves)
-        return [float(2.0 * fit.score @ x - x @ fit.schur @ x) for fit in fits]
+        found = []
+        for half in self._halves:
+            fit = self._fit(half, inside, candidate.places)
+            schur = fit.schur(np.arange(len(x)))
+            found.append(float(2.0 * fit.score @ x - x @ schur @ x))
+        return found
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""
@@ -336,10 +355,11 @@ class Trials:
         fit = self._fit(self._total, self._list_inside(self.taken), acting.places)
         n = int(np.sum(self.weights > 0.0))
         # A fall of `named` in the mean of n logarithms is n times that at the one joint it acts at.
-        of_joint = float(fit.residual @ self._total @ fit.residual) / n
+        of_joint = self._measure_error(fit.residual) / n
         felt = of_joint * np.expm1(n * RULES.named)
         # A value x lowers the cost by S x^2, S the Schur complement: what of the two needs more.
-        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
+        schur = fit.schur(np.arange(1))[0, 0]
+        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / schur))
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
@@ -347,13 +367,12 @@ class Trials:
 
     def _measure_torques(self, candidate: Candidate, values: Array) -> Array:
         """Return the RMS torque (n,) of a candidate with these values."""
-        energy = np.zeros(self.equations.n_joints)
-        for k, gram in enumerate(self.equations.of_joints):
-            columns = self._place[k, candidate.places]
-            at = columns[columns >= 0]
-            x = values[columns >= 0]
-            energy[k] = x @ gram[np.ix_(at, at)] @ x
-        return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
+        energy = np.zeros(self.rows.n_joints)
+        acting = self.rows.places[:, candidate.places] >= 0
+        for k in np.flatnonzero(acting.any(axis=1)).tolist():
+            torque = self.rows.product(k, candidate.places, values)
+            energy[k] = np.einsum("bm,bm->", torque, torque)
+        return np.sqrt(energy / self._n_samples)
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
         """Try each candidate alone with what is taken; what it replaces is left out then.
@@ -368,7 +387,7 @@ class Trials:
         self._factored.clear()
         before = self._list_inside(self.taken)
         x = self._fit(self._total, before).residual
-        start = self._leave_out(before), float(x @ self._total @ x), self._measure_distance(x)
+        start = self._leave_out(before), self._measure_error(x), self._measure_distance(x)
         return [trial for alike in groups.values() for trial in self._try_candidates(alike, start)]
 
     def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
@@ -378,39 +397,37 @@ class Trials:
         )
         return np.concatenate([left, *(candidate.places for candidate in taken)]).astype(np.int64)
 
-    def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
+    def _fit(self, squares: Squares, inside: Indices, columns: Indices = NONE) -> _Fit:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
-        P = self.equations.n_columns
-        key = (id(gram), inside.tobytes())
+        torque = np.array([self.rows.n_columns])
+        key = (id(squares), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
-            root, failed = lapack.dpotrf(self._build_normal(gram, inside)[0], overwrite_a=True)
+            root, failed = lapack.dpotrf(self._build_normal(squares, inside)[0], overwrite_a=True)
             if failed:
                 raise np.linalg.LinAlgError("normal equations of effects are singular")
-            b = gram[inside, -1].copy()
+            b = squares.at(inside, torque)[:, 0]
             model = inside < self.n_base
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
             self._factored[key] = root, lapack.dpotrs(root, b)[0]
         root, solution = self._factored[key]
-        residual = np.zeros(P + 1)
-        moves = np.zeros((P + 1, len(columns)))
-        # tau - W x: minus the values, and one for the torque.
+        residual = np.zeros(self.rows.n_columns + 1)
         residual[inside] = -solution
         residual[-1] = 1.0
-        if len(columns):
-            moves[inside] = lapack.dpotrs(root, gram.take(inside, 0).take(columns, 1))[0]
-        # Moves end with the column itself: what of it the parameters inside do not follow.
-        moves[columns, np.arange(len(columns))] -= 1.0
-        # Schur complement and score of the columns given the parameters inside.
-        return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
+        across = squares.at(columns, inside)
+        score = squares.at(columns, torque)[:, 0] + across @ residual[inside]
+        moves = lapack.dpotrs(root, across.T)[0] if len(columns) else across.T
+        return _Fit(squares, residual, inside, columns, moves, across, score)
 
-    def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
+    def _build_normal(self, squares: Squares, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        prior = np.zeros((len(inside),) * 2)
-        # The model's own parameters stand first.
-        own = inside[inside < self.n_base]
-        prior[: len(own), : len(own)] = self.prior.information.take(own, 0).take(own, 1)
-        A = gram.take(inside, 0).take(inside, 1) + prior
+        A = squares.at(inside, inside)
+        prior = np.zeros_like(A)
+        model = inside[inside < self.n_base]
+        # The model's come first.
+        of_model = (slice(len(model)),) * 2
+        prior[of_model] = self.prior.information[np.ix_(model, model)]
+        A[of_model] += prior[of_model]
         # On the diagonal relative to it, so that units do not matter; prior-free columns stay
         # regular.
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
@@ -418,9 +435,42 @@ class Trials:
 
     def _leave_out(self, inside: Indices) -> Array:
         """Return the squared error of each joint on each held-out group (groups, n)."""
-        fits = [self._fit(without, inside) for without in self._without]
-        both = zip(fits, self._of_joints, strict=True)
-        return np.array([_expand_squares(fit, joints)[0] for fit, joints in both])
+        both = zip(self._without, self._groups, strict=True)
+        ones = np.ones(self.rows.n_joints)
+        return np.array(
+            [
+                self._errors(self._fit(without, inside), ones, group).squares(NONE, np.zeros(0))
+                for without, group in both
+            ]
+        )
+
+    def _errors(self, fit: _Fit, weights: Array, blocks: Indices | None = None) -> _Errors:
+        """Return the errors of a fit, joint k times `weights[k]`, on all blocks or some."""
+        n_blocks = self.rows.n_blocks if blocks is None else len(blocks)
+        longest = max(rows.shape[1] for rows in self.rows.rows)
+        residual = np.zeros((n_blocks, self.rows.n_joints, longest))
+        moves = np.zeros((*residual.shape, len(fit.columns)))
+        every = zip(self.rows.rows, self.rows.places, weights, strict=True)
+        torque = np.flatnonzero(fit.residual)
+        for k, (rows, places, weight) in enumerate(every):
+            own = rows if blocks is None else rows[blocks]
+            there = torque[places[torque] >= 0]
+            residual[:, k, : own.shape[1]] = weight * (
+                own[..., places[there]] @ fit.residual[there]
+            )
+            if fit.columns.size:
+                kept = np.flatnonzero(places[fit.inside] >= 0)
+                move = own[..., places[fit.inside[kept]]] @ fit.moves[kept]
+                at = np.flatnonzero(places[fit.columns] >= 0)
+                move[..., at] -= own[..., places[fit.columns[at]]]
+                moves[:, k, : own.shape[1]] = weight * move
+        return _Errors(residual, moves)
+
+    def _measure_error(self, residual: Array) -> float:
+        """Return the weighted squared error of a residual with these coefficients (P + 1,)."""
+        there = np.flatnonzero(residual)
+        x = residual[there]
+        return float(x @ self._total.at(there, there) @ x)
 
     def _measure_distance(self, residual: Array) -> float:
         # The residual holds minus the values.
@@ -441,16 +491,12 @@ class Trials:
             return []
         columns = np.unique(np.concatenate([candidate.places for candidate, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
-        # All other parameters are zero, and stay so.
-        moving = np.zeros(self.equations.n_columns + 1, dtype=np.bool_)
-        moving[inside] = True
-        moving[columns] = True
-        moving[-1] = True
-        _, scores, slopes = _expand_squares(whole, self._blocks, moving)
+        errors = self._errors(whole, self.weights)
+        ones = np.ones(self.rows.n_joints)
         held_out = [
-            (fit, _expand_squares(fit, joints, moving))
+            (fit, self._errors(fit, ones, group))
             # One fit a group, shared by all its joints.
-            for without, joints in zip(self._without, self._of_joints, strict=True)
+            for without, group in zip(self._without, self._groups, strict=True)
             # Exact torques of a simulation leave squares of 0, of which the ratio would be
             # undefined.
             for fit in (self._fit(without, inside, columns),)
@@ -459,25 +505,24 @@ class Trials:
         trials = []
         for candidate, gain in gaining:
             c = np.searchsorted(columns, candidate.places)
-            schur = whole.schur[np.ix_(c, c)]
+            schur = whole.schur(c)
             d: Array = np.asarray(np.linalg.solve(schur, whole.score[c]), dtype=np.float64)
             # Scores of the blocks at the fit with the candidate: their scatter is its covariance.
-            left = -scores[:, c] - slopes[:, c][:, :, c] @ d
-            covariance, p_value = _estimate_scatter(schur, left, d)
+            covariance, p_value = _estimate_scatter(schur, errors.scores(c, d), d)
             felt = float(np.max(self._measure_torques(candidate, d) / self._rms))
             if len(candidate.replaces):
                 # That a term in place of another one is zero is no question: its gain is one. And
                 # nearly all of its torque is the torque of what it replaces.
                 p_value = float(chdtrc(max(len(c) - len(candidate.replaces), 0) + 1, 2.0 * gain))
                 fall = 2.0 * self.prior.effect * max(gain, 0.0)
-                felt = float(np.sqrt(fall / self._total[-1, -1]))
+                felt = float(np.sqrt(fall / self._total.diagonal[-1]))
             size = self._size[candidate.places]
             held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
             ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
             # Joints without weight are not in the fit, so that they say nothing about it.
             relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
             # Half squares of independent standard errors, the unit of the gain.
-            distance = self._measure_distance(whole.residual + whole.moves[:, c] @ d)
+            distance = self._measure_distance(whole.moved(c, d, self.n_base))
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             trials.append(Trial(candidate, d, covariance, p_value, relief, gain, nearer, felt))
         return trials
@@ -497,11 +542,11 @@ class Trials:
         fit = self._fit(self._total, inside, columns)
         x = fit.residual
         # What is lost without the parameters replaced, before the new columns win it back.
-        lost = float(x @ self._total @ x) + self._measure_distance(x) - cost
+        lost = self._measure_error(x) + self._measure_distance(x) - cost
         gaining = []
         for candidate in acting:
             c = np.searchsorted(columns, candidate.places)
-            schur = fit.schur[np.ix_(c, c)]
+            schur = fit.schur(c)
             scale = self._size[candidate.places]
             # A column within the others up to rounding would have any value.
             if np.linalg.eigvalsh(schur / np.outer(scale, scale))[0] < RULES.separate:
@@ -552,35 +597,17 @@ def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _expand_squares(
-    fit: _Fit, grams: Sequence[tuple[Indices, Array]], moving: Mask | None = None
-) -> tuple[Array, Array, Array]:
-    """Return `|r + M d|^2` in d for Gram matrices at some places: value, slope and curvature.
-
-    For a change d of the columns it is `value + 2 slope @ d + d @ curvature @ d`, shapes (g,),
-    (g, c) and (g, c, c). Parameters that are not `moving`, whose coefficients are zero, are passed
-    over.
-    """
-    squares = []
-    for places, gram in grams:
-        kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
-        # Rows of zero coefficients are most of a block, and cost nothing when passed over.
-        at = places[kept]
-        part = gram.take(kept, 0).take(kept, 1)
-        r = fit.residual[at]
-        M = fit.moves[at]
-        felt = M.T @ part
-        squares.append((r @ part @ r, felt @ r, felt @ M))
-    value, slope, curvature = map(np.array, zip(*squares, strict=True))
-    return value, slope, curvature
+def _sum_torques(rows: BlockRows, blocks: Indices | None = None) -> Array:
+    """Return the squared torque of each joint (n,) in all blocks or some."""
+    torques = [own[..., -1] if blocks is None else own[blocks, :, -1] for own in rows.rows]
+    return np.array([np.einsum("bm,bm->", torque, torque) for torque in torques])
 
 
-def _score_left_out(
-    fit: _Fit, squares: tuple[Array, Array, Array], c: Indices, size: Array
-) -> Array:
+def _score_left_out(fit: _Fit, errors: _Errors, c: Indices, size: Array) -> Array:
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
-    value, slope, curvature = squares
-    schur = fit.schur[np.ix_(c, c)]
+    schur = fit.schur(c)
     # The value refits with the training equations: the held-out group only judges it.
-    d = np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c])
-    return np.asarray(value + 2.0 * slope[:, c] @ d + curvature[:, c][:, :, c] @ d @ d)
+    d: Array = np.asarray(
+        np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c]), dtype=np.float64
+    )
+    return errors.squares(c, d)

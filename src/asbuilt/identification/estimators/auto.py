@@ -247,7 +247,8 @@ def prior_information(information: SquareRootInformation, prior: CadPrior) -> Ar
     regrouping = information.base.regrouping
     inertial = 10 * prior.n_links
     links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)
-    covariance = np.einsum("pia,iab,qib->pq", links, np.linalg.inv(prior.metric), links)
+    turned = np.einsum("pia,iab->pib", links, np.linalg.inv(prior.metric))
+    covariance = turned.reshape(len(links), -1) @ regrouping[:, :inertial].T
     drives = regrouping[:, inertial:] * prior.drive_scale
     covariance += drives @ drives.T / prior.drive_weight
     # Unit diagonal before the inverse: units of parameters differ by many decades.

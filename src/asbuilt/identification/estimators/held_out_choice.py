@@ -298,9 +298,9 @@ DIFFERENT_MOTIONS = 6
 """Groups of different motion that are held out; each is then about a sixth of a recording."""
 
 
-def group_neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
+def group_neighbours(n_blocks: int) -> list[Indices]:
     """Return the blocks in groups of neighbours, so that lasting residuals do not leak."""
-    count = min(n_groups, n_blocks)
+    count = min(MOST_FOLDS, n_blocks)
     # Parts that differ by one block at most.
     number = np.arange(n_blocks) * count // max(n_blocks, 1)
     return [np.flatnonzero(number == group) for group in range(count)]
@@ -314,7 +314,7 @@ def group_different_motions(
     Blocks are alike if their information per sample is, in parameters scaled to equal torque
     (Ward's linkage; Ward, J. American Statistical Association 58, 1963).
     """
-    roots = (information.stacked(weights, b)[:, :-1] for b in range(information.n_blocks))
+    roots = (information.rows_of_block(b, weights)[:, :-1] for b in range(information.n_blocks))
     return group_motions(
         np.array([root.T @ root for root in roots]),
         np.array([block.n_samples for block in information.blocks]),

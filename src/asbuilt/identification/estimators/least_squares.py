@@ -20,6 +20,7 @@ from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.estimate import (
     Estimate,
     EstimationData,
+    deviation_of,
     noise_floor,
     residual_deviation,
 )
@@ -40,6 +41,10 @@ some five steps, where all digits take thirty."""
 MOST_ITERATIONS = 50
 NEAR = 0.1
 """Relative change of weights below which steps are extrapolated."""
+ENOUGH_BY_SQUARES = 200.0
+"""Scaled condition number (Frobenius) per parameter, 1 of orthogonal columns, up to which weights
+come from normal equations: of 50 parameters these are off by 1e-8, and residuals by the square of
+that."""
 LARGE_CONDITION = 200.0
 """Scaled condition number above which model errors are amplified (below 100 is good: Gautier and
 Khalil, Int. J. Robotics Research 11, 1992).
@@ -79,35 +84,9 @@ def fit_least_squares(
     IdentifiabilityError
         If directions are undetermined without prior or refused, or rows are fewer than parameters.
     """
-    n = information.n_joints
     rows = information.n_rows
-    refuse_few_rows(information)
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
-    floor = noise_floor(information)
-    iterated = isinstance(weights, str)
-    if iterated and weights != "joint":
-        raise UsageError(
-            f"weights {weights!r} are unknown; expected 'joint', None or {n} positive numbers, one"
-            " per joint"
-        )
-    seen = information.has_torque
-    given = np.ones(n) if weights is None or isinstance(weights, str) else weights
-    w = np.where(seen, check_weights(given, seen), 0.0)
-    iterations = int(not iterated)
-    converged = True
-    ahead = FixedPoint(NEAR)
-    while iterated:
-        iterations += 1
-        x, root = solve_fast(information.stacked(w), rows, toward)
-        renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
-        converged = bool(np.all(np.abs(renewed - w) <= settled * renewed))
-        if converged or iterations > MOST_ITERATIONS:
-            break
-        # In logarithms, so that an extrapolated weight stays positive.
-        image = np.log(renewed[seen])
-        tried = ahead.advance(np.log(w[seen]), image)
-        # Without an extrapolation the weights are taken as they are, not through a logarithm.
-        w[seen] = renewed[seen] if tried is image else np.exp(tried)
+    w, iterations, converged = _choose_weights(information, weights, toward, settled)
     # The iteration solves without a decision on the rank; the result makes it once.
     solution = solve_factor(information.stacked(w), rows, toward)
     sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
@@ -128,6 +107,86 @@ def fit_least_squares(
         iterations=iterations,
         converged=converged,
     )
+
+
+def joint_noise(
+    information: SquareRootInformation, prior: Array, settled: float = WEIGHT_CONVERGENCE
+) -> Array:
+    """Return the deviation (n,) of each joint's residual in the fit with `"joint"` weights.
+
+    It is that of `fit_least_squares`, without its parameters and their errors.
+    """
+    weights, _, _ = _choose_weights(information, "joint", prior, settled)
+    return _solve_weighted(information, weights, prior)[1]
+
+
+def _choose_weights(
+    information: SquareRootInformation,
+    weights: Weighting | ArrayLike | None,
+    toward: Array | None,
+    settled: float,
+) -> tuple[Array, int, bool]:
+    """Return the weights (n,) of a fit, the iterations they took, and whether they converged."""
+    n = information.n_joints
+    refuse_few_rows(information)
+    floor = noise_floor(information)
+    iterated = isinstance(weights, str)
+    if iterated and weights != "joint":
+        raise UsageError(
+            f"weights {weights!r} are unknown; expected 'joint', None or {n} positive numbers, one"
+            " per joint"
+        )
+    seen = information.has_torque
+    given = np.ones(n) if weights is None or isinstance(weights, str) else weights
+    w = np.where(seen, check_weights(given, seen), 0.0)
+    iterations = int(not iterated)
+    converged = True
+    ahead = FixedPoint(NEAR)
+    while iterated:
+        iterations += 1
+        renewed = 1.0 / np.maximum(_solve_weighted(information, w, toward)[1], floor)
+        converged = bool(np.all(np.abs(renewed - w) <= settled * renewed))
+        if converged or iterations > MOST_ITERATIONS:
+            break
+        # In logarithms, so that an extrapolated weight stays positive.
+        image = np.log(renewed[seen])
+        tried = ahead.advance(np.log(w[seen]), image)
+        # Without an extrapolation the weights are taken as they are, not through a logarithm.
+        w[seen] = renewed[seen] if tried is image else np.exp(tried)
+    return w, iterations, converged
+
+
+def _solve_weighted(
+    information: SquareRootInformation, weights: Array, toward: Array | None
+) -> tuple[Array, Array]:
+    """Return parameters (p,) of weighted least squares and the deviation of each joint (n,).
+
+    By normal equations where their digits are enough, as their sum over joints costs a small part
+    of a factor of all rows: residuals are of second order in an error of the parameters.
+    """
+    found = solve_squares(information.summed(weights))
+    if found is None:
+        x, root = solve_fast(information.stacked(weights), information.n_rows, toward)
+        return x, residual_deviation(information, x, root, weights)
+    x, root = found
+    return x, deviation_of(information, x, information.spent(weights, root @ root.T))
+
+
+def solve_squares(total: Array) -> tuple[Array, Array] | None:
+    """Return x (p,) and the inverse root (p, p) of normal equations `[A | b]` (p + 1, p + 1).
+
+    None where their condition takes too many digits, or there is nothing to solve.
+    """
+    size = np.sqrt(np.diag(total)[:-1])
+    if size.size == 0 or not np.all(size > 0.0):
+        return None
+    most = ENOUGH_BY_SQUARES * size.size
+    factor, problem = lapack.dpotrf(total[:-1, :-1] / np.outer(size, size), clean=1)
+    inverse, singular = lapack.dtrtri(factor) if problem == 0 else (factor, 1)
+    if singular or np.linalg.norm(inverse) * np.linalg.norm(factor) > most:
+        return None
+    root = inverse / size[:, None]
+    return root @ (root.T @ total[:-1, -1]), root
 
 
 def refuse_few_rows(information: SquareRootInformation) -> None:

@@ -146,8 +146,7 @@ def reweight(
             sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
             # An infinite scale is a weight of 0.
             sigma[~information.has_torque] = np.inf
-        gram = np.zeros((root.shape[1],) * 2)
-        score = np.zeros(root.shape[1])
+        whole = np.zeros((len(root), len(root) + 1))
         sums = [np.zeros((places.size, places.size + 1)) for places in support]
         for b, rows in enumerate(parts()):
             for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
@@ -157,8 +156,10 @@ def reweight(
                 total[:, :-1] += weighted @ columns[:-1].T
                 total[:, -1] += weighted @ residuals[k][b]
         for places, total in zip(support, sums, strict=True):
-            gram += root[places].T @ total[:, :-1] @ root[places]
-            score += root[places].T @ total[:, -1]
+            whole[np.ix_(places, places)] += total[:, :-1]
+            whole[places, -1] += total[:, -1]
+        gram = root.T @ whole[:, :-1] @ root
+        score = root.T @ whole[:, -1]
         step = Scaled(gram).solve(score)
         beta = beta + root @ step
         # In units of the information: the length is in standard errors of all parameters together.

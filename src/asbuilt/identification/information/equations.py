@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -80,34 +80,16 @@ class Equations:
         """Return the Gram matrix of joint k over all blocks, which weigh (B,)."""
         return np.asarray(np.tensordot(weight, self.grams[k], 1))
 
-    def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
+    def stacked(self, weights: Array) -> Array:
         """Return the sum over joints, (P + 1, P + 1), of joint k times `weights[k]`^2."""
         total = np.zeros((self.n_columns + 1,) * 2)
         for k, support in enumerate(self.support):
-            gram = self.of_joints[k] if blocks is None else self.grams[k][blocks].sum(axis=0)
+            gram = self.of_joints[k]
             places = np.append(support, self.n_columns)
             # Columns first, then whole rows: places by pairs would take five times as long.
             wide = np.zeros((len(places), self.n_columns + 1))
             wide[:, places] = weights[k] ** 2 * gram
             total[places] += wide
-        return total
-
-    def stacked_blocks(self, weights: Array) -> Array:
-        """Return `stacked` of each block, (B, P + 1, P + 1)."""
-        total = np.zeros((self.n_blocks, self.n_columns + 1, self.n_columns + 1))
-        for weight, support, grams in zip(weights, self.support, self.grams, strict=True):
-            places = np.append(support, self.n_columns)
-            # Neighbours go together: by single places it would take ten times as long.
-            starts = np.flatnonzero(np.diff(places, prepend=-2) != 1)
-            stops = np.append(starts[1:], len(places))
-            runs = [
-                (slice(a, b), slice(places[a], places[a] + b - a))
-                for a, b in zip(starts.tolist(), stops.tolist(), strict=True)
-            ]
-            weighted = weight**2 * grams
-            for rows, rows_of_all in runs:
-                for columns, columns_of_all in runs:
-                    total[:, rows_of_all, columns_of_all] += weighted[:, rows, columns]
         return total
 
     def energies(self, k: int, ends: Array) -> Array:
@@ -139,6 +121,151 @@ class Equations:
             blocks=tuple(block for part in parts for block in part.blocks),
             counts=np.concatenate([part.counts for part in parts], axis=1),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRows:
+    """Hold the rows `[A_k | y_k]` of every joint k and time block b, or fewer of equal squares.
+
+    Columns and groups are those of `Equations`. `rows[k]` has shape (B, m, s_k + 1), the torque
+    last: the samples of a block, or their triangular factor where these are more than the columns;
+    rows of zeros fill up shorter blocks. Blocks of a robot of many joints have far fewer samples
+    than columns, so that rows take a small part of the memory and the time of their squares.
+    """
+
+    groups: Mapping[str, int]
+    support: tuple[Indices, ...]
+    rows: tuple[Array, ...]
+    blocks: tuple[TimeBlock, ...]
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.support)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of time blocks."""
+        return len(self.blocks)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns P of all groups."""
+        return sum(self.groups.values())
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of all blocks."""
+        return sum(block.n_samples for block in self.blocks)
+
+    @cached_property
+    def places(self) -> Indices:
+        """Where joint k has each column and the torque, (n, P + 1), -1 where it does not."""
+        places = np.full((self.n_joints, self.n_columns + 1), -1)
+        for own, support in zip(places, self.support, strict=True):
+            own[np.append(support, self.n_columns)] = np.arange(len(support) + 1)
+        return places
+
+    def product(self, k: int, columns: Indices, coefficients: Array) -> Array:
+        """Return joint k's rows (B, m, ...) times coefficients (c, ...) of some columns."""
+        own = self.places[k, columns]
+        there = own >= 0
+        return np.asarray(self.rows[k][:, :, own[there]] @ coefficients[there])
+
+    def inner(self, weights: Array, left: Indices, right: Indices) -> Array:
+        """Return inner products (l, r) of columns over all joints, k times `weights[k]`^2."""
+        total = np.zeros((len(left), len(right)))
+        for own, rows, weight in zip(self.places, self.rows, weights, strict=True):
+            flat = weight * rows.reshape(-1, rows.shape[-1])
+            rows_at = np.flatnonzero(own[left] >= 0)
+            columns_at = np.flatnonzero(own[right] >= 0)
+            total[np.ix_(rows_at, columns_at)] += (
+                flat[:, own[left[rows_at]]].T @ flat[:, own[right[columns_at]]]
+            )
+        return total
+
+    def squares(self, weights: Array, blocks: Indices | None = None) -> Squares:
+        """Return the inner products of all columns, over all blocks or some."""
+        joints = np.count_nonzero(self.places >= 0, axis=0)
+        # The model's columns and the torque belong to every row that may have them.
+        shared = joints != 1
+        shared[: self.groups[MODEL]] = True
+        shared[-1] = True
+        shared_place = np.where(shared, np.cumsum(shared) - 1, -1)
+        crossed = np.zeros((int(shared.sum()), self.n_columns + 1))
+        local = []
+        for support, rows, weight in zip(self.support, self.rows, weights, strict=True):
+            flat = rows if blocks is None else rows[blocks]
+            flat = weight * flat.reshape(-1, rows.shape[-1])
+            columns = np.append(support, self.n_columns)
+            common = shared[columns]
+            crossed[np.ix_(shared_place[columns[common]], columns)] += flat[:, common].T @ flat
+            alone = flat[:, ~common]
+            local.append((columns[~common], alone.T @ alone))
+        return Squares(crossed, shared_place, tuple(local))
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """Hold the inner products (P + 1, P + 1) of columns most of which only one joint has.
+
+    `shared_place` (P + 1,) are the rows of `shared` (S, P + 1), -1 for what one joint k alone has:
+    `local[k]` are the places of that and its products among each other. All others are zero.
+    """
+
+    shared: Array
+    shared_place: Indices
+    local: tuple[tuple[Indices, Array], ...]
+
+    def less(self, other: Squares) -> Squares:
+        """Return the products less those of a part of the same rows."""
+        both = zip(self.local, other.local, strict=True)
+        local = tuple((places, own - part) for (places, own), (_, part) in both)
+        return replace(self, shared=self.shared - other.shared, local=local)
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """Squared length of each column (P + 1,)."""
+        found = np.zeros(self.shared.shape[1])
+        columns = np.flatnonzero(self.shared_place >= 0)
+        found[columns] = self.shared[self.shared_place[columns], columns]
+        for places, own in self.local:
+            found[places] = np.diag(own)
+        return found
+
+    def at(self, left: Indices, right: Indices) -> Array:
+        """Return the products (l, r) of some columns with others."""
+        found = np.zeros((len(left), len(right)))
+        left_shared = self.shared_place[left] >= 0
+        right_shared = self.shared_place[right] >= 0
+        found[left_shared] = self.shared[np.ix_(self.shared_place[left[left_shared]], right)]
+        rest = left[~left_shared]
+        across = self.shared[np.ix_(self.shared_place[right[right_shared]], rest)]
+        found[np.ix_(~left_shared, right_shared)] = across.T
+        rows = np.flatnonzero(~left_shared)
+        columns = np.flatnonzero(~right_shared)
+        for j in np.unique(self._joint[rest]) if columns.size else ():
+            mine = rows[self._joint[left[rows]] == j]
+            yours = columns[self._joint[right[columns]] == j]
+            inside = np.ix_(self._own_place[left[mine]], self._own_place[right[yours]])
+            found[np.ix_(mine, yours)] = self.local[j][1][inside]
+        return found
+
+    @cached_property
+    def _joint(self) -> Indices:
+        """The joint that alone has each column (P + 1,), -1 for shared ones."""
+        joint = np.full(len(self.shared_place), -1)
+        for k, (places, _) in enumerate(self.local):
+            joint[places] = k
+        return joint
+
+    @cached_property
+    def _own_place(self) -> Indices:
+        """Place of each column among those of its joint (P + 1,)."""
+        place = np.full(len(self.shared_place), -1)
+        for places, _ in self.local:
+            place[places] = np.arange(len(places))
+        return place
 
 
 TILT = "tilt"

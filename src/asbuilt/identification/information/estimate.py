@@ -140,9 +140,14 @@ def residual_deviation(
     Joints whose rows were mixed, since reactions were projected away, have one noise.
     """
     roots = zip(information.support, information.joint_factors, weights, strict=True)
-    parts = [weight * factor[:-1, :-1] @ inverse_root[own] for own, factor, weight in roots]
+    parts = [weight * factor[:, :-1] @ inverse_root[own] for own, factor, weight in roots]
     # Traces of each joint's part of the hat matrix; their sum is the rank.
     spent = np.array([np.sum(part * part) for part in parts])
+    return deviation_of(information, beta, spent)
+
+
+def deviation_of(information: SquareRootInformation, beta: Array, spent: Array) -> Array:
+    """Return what `residual_deviation` does, with the parameters (n,) that each joint spends."""
     # Joints without torque have infinite noise, and so no weight.
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
     if information.mixed:

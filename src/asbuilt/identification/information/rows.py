@@ -17,6 +17,7 @@ from asbuilt.dynamics import BaseParameters, gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.information.triangular import shorten_columns
 
 
 @dataclass(slots=True, eq=False)
@@ -73,6 +74,12 @@ class RowRules:
     """Blocks of a short recording, so that standard errors can be estimated from them."""
     most_held: float = 25e6
     """Memory [bytes] of rows that are kept between passes; more are made again in every pass."""
+    usual_joints: int = 12
+    """Joints up to which that holds; rows of more joints take more memory and time to make."""
+
+    def room_for(self, n_joints: int) -> float:
+        """Return the memory [bytes] of rows that are kept of a robot."""
+        return self.most_held * max(1.0, n_joints / self.usual_joints)
 
 
 ROWS = RowRules()
@@ -100,7 +107,7 @@ class KeptRows:
     """Keep the filtered rows of samples, so that those who share it walk over a motion once.
 
     Rows depend on robot, drive terms and samples alone, neither on time blocks nor on what else is
-    asked of them. The latest are kept, as many as `ROWS.most_held` has room for.
+    asked of them. The latest are kept, as many as `ROWS.room_for` the robot holds.
     """
 
     def __init__(self) -> None:
@@ -114,7 +121,7 @@ class KeptRows:
         """
         # Eight bytes a number, torque included.
         size = 8.0 * samples.n_filtered * sum(len(own) + 1 for own in plan.support)
-        if samples.reactions or size > ROWS.most_held:
+        if samples.reactions or size > ROWS.room_for(plan.model.n_joints):
             return None
         with self._lock:  # blocks of one motion are asked for by several threads
             for entry in self._entries:
@@ -124,7 +131,8 @@ class KeptRows:
             rows = _evaluate_rows(plan, samples)
             self._entries.append((plan, samples, rows))
             # The oldest go first: passes ask for the latest motions again.
-            while sum(_count_bytes(each) for *_, each in self._entries) > ROWS.most_held:
+            most = ROWS.room_for(plan.model.n_joints)
+            while sum(_count_bytes(each) for *_, each in self._entries) > most:
                 del self._entries[0]
             return rows
 
@@ -196,14 +204,17 @@ class SampleBlock:
             found.append(np.concatenate([own[:-1], added, own[-1:]]))
         return tuple(found)
 
-    def rests_on(self, keep: Mask) -> Mask:
-        """Return which filtered samples (n_outputs,) are of samples to `keep` (N,) alone."""
+    def touches(self, samples: Mask) -> Mask:
+        """Return which filtered samples (n_outputs,) have a part in any of some samples (N,)."""
         parallel = self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
-        # Samples left out up to each place: a window has none if both its ends count the same.
-        left_out = np.concatenate([[0], np.cumsum(~keep)])
-        begin = self.start + step * np.arange(self.first, self.last)
-        return np.asarray(left_out[begin + width] == left_out[begin])
+        begin = step * np.arange(self.n_outputs)
+        first = self.start + step * self.first
+        # Of this block alone: what is counted of a long recording for each of its blocks adds up.
+        counted = np.cumsum(samples[first : first + step * (self.n_outputs - 1) + width])
+        # How many come before each place: a window has none if both its ends count the same.
+        before = np.concatenate([[0], counted])
+        return np.asarray(before[begin + width] != before[begin])
 
     def filtered(self, values: Callable[[slice], Array]) -> Array:
         """Return filtered values (n, n_outputs) of what is given (m, n) on a span of samples.
@@ -350,7 +361,7 @@ class Rows:
         self._every = every
         self._held: list[RowBlock] | None = None
         self._parts: list[tuple[Array, ...]] | None = None
-        self._grams: list[tuple[Array, ...]] | None = None
+        self._roots: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
 
     def take_torque(self, samples: Sequence[Samples]) -> bool:
@@ -383,13 +394,16 @@ class Rows:
         """Whether the rows are held in memory, as they are after a first pass if they are few."""
         return self._held is not None
 
-    def grams(self) -> list[tuple[Array, ...]]:
-        """Return `W_k W_k^T` of every block and joint, which outlast another torque."""
-        if self._grams is None:
-            self._grams = [
-                tuple(rows[:-1] @ rows[:-1].T for rows in block) for block in self.by_block()
+    def roots(self) -> list[tuple[Array, ...]]:
+        """Return rows (m, p_k) with the squares of W_k, of every block and joint, few of them.
+
+        They outlast another torque.
+        """
+        if self._roots is None:
+            self._roots = [
+                tuple(shorten_columns(rows[:-1]) for rows in block) for block in self.by_block()
             ]
-        return self._grams
+        return self._roots
 
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
@@ -410,6 +424,7 @@ class Rows:
             return
         kept = list[RowBlock]()
         size = 0
+        most = ROWS.room_for(self._plan.model.n_joints)
         for part in self._divide(self._samples):
             block = RowBlock(part.rows(self._plan), part.time, part.seconds)
             for rows, x in zip(block.rows, self._less, strict=False):
@@ -417,9 +432,9 @@ class Rows:
             size += sum(rows.nbytes for rows in block.rows)
             # Rows of a long recording are not kept, but made again in every pass.
             # Past the limit nothing is kept, not even the blocks before.
-            kept = [*kept, block] if size <= ROWS.most_held else []
+            kept = [*kept, block] if size <= most else []
             yield block
-        self._held = kept if size <= ROWS.most_held else None
+        self._held = kept if size <= most else None
 
 
 def _same_motion(one: Samples, other: Samples) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,8 +33,9 @@ from asbuilt.identification.information.rows import (
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
-    reduce_columns,
-    triangular_factor,
+    shorten_columns,
+    shorten_rows,
+    stack_blocks,
 )
 
 MOST_BLOCKS = 128
@@ -42,13 +44,14 @@ MOST_BLOCKS = 128
 
 @dataclass(frozen=True, eq=False)
 class SquareRootInformation:
-    """Hold the triangular factors R of `[W_k | tau_k]` for every joint k and time block b.
+    """Hold factors R of `[W_k | tau_k]` for every joint k and time block b.
 
     `R^T R = [W_k | tau_k]^T [W_k | tau_k]`. Joint k depends only on the base parameters
     `support[k]` (p_k positions among the p of `base`): links it carries and its own drive.
-    `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper triangular; `torque_sum` (n_blocks,
-    n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2 = sum_b |R_b (-beta, 1)|^2`, so every
-    quadratic fit, its errors and its validation need nothing else.
+    `factors[k]` has shape (n_blocks, m, p_k + 1): the rows of a block themselves, or their upper
+    triangular factor where this has fewer, zeros below; so m is at most p_k + 1. `torque_sum`
+    (n_blocks, n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2` is the sum over blocks of
+    `|R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing else.
 
     Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is
     built block by block (Golub & Van Loan, Matrix Computations, 2013, section 5.2; Demmel et al.,
@@ -65,7 +68,8 @@ class SquareRootInformation:
     def __post_init__(self) -> None:
         for support, factor in zip(self.support, self.factors, strict=True):
             q = len(support) + 1
-            if factor.shape != (len(self.blocks), q, q):
+            blocks, m, columns = factor.shape
+            if (blocks, columns) != (len(self.blocks), q) or m > q:
                 raise ResultError(
                     f"factors of a joint with {q - 1} columns and {len(self.blocks)} blocks have"
                     f" shape {factor.shape}"
@@ -105,10 +109,16 @@ class SquareRootInformation:
 
     @cached_property
     def joint_factors(self) -> tuple[Array, ...]:
-        """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1)."""
-        return tuple(
-            triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors
-        )
+        """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1).
+
+        Of fewer samples than columns it is their rows, (m, p_k + 1).
+        """
+        return tuple(map(_reduce_blocks, self.factors))
+
+    @cached_property
+    def joint_grams(self) -> tuple[Array, ...]:
+        """Inner products of the columns and the torque of each joint, shape (p_k + 1, p_k + 1)."""
+        return tuple(factor.T @ factor for factor in self.joint_factors)
 
     @cached_property
     def has_torque(self) -> Mask:
@@ -187,7 +197,10 @@ class SquareRootInformation:
         parts = (self, *others)
         return replace(
             self,
-            factors=tuple(map(np.concatenate, zip(*(part.factors for part in parts), strict=True))),
+            factors=tuple(
+                stack_blocks([block for factors in own for block in factors])
+                for own in zip(*(part.factors for part in parts), strict=True)
+            ),
             torque_sum=np.concatenate([part.torque_sum for part in parts]),
             blocks=tuple(block for part in parts for block in part.blocks),
         )
@@ -217,6 +230,54 @@ class SquareRootInformation:
             self._known[known] = growing.factor()
             self._known[known].setflags(write=False)
         return self._known[known]
+
+    def rows_of_block(self, block: int, weights: Array) -> Array:
+        """Return all joints' rows of a block in all columns, (m, p + 1), k times `weights[k]`."""
+        p = self.base.n_base
+        own = [factors[block] for factors in self.factors]
+        rows = np.zeros((sum(map(len, own)), p + 1))
+        first = 0
+        for support, factor, weight in zip(self.support, own, weights, strict=True):
+            rows[first : first + len(factor), np.append(support, p)] = weight * factor
+            first += len(factor)
+        return rows
+
+    def summed(self, weights: Array) -> Array:
+        """Return the inner products (p + 1, p + 1) of all rows, of joint k times `weights[k]`^2.
+
+        They have half of the digits of the factor that `stacked` returns.
+        """
+        p = self.base.n_base
+        total = np.zeros((p + 1, p + 1))
+        for spans, gram, weight in zip(self._spans, self.joint_grams, weights, strict=True):
+            weighted = weight**2 * gram
+            for rows, own_rows in spans:
+                for columns, own_columns in spans:
+                    total[rows, columns] += weighted[own_rows, own_columns]
+        return total
+
+    def spent(self, weights: Array, covariance: Array) -> Array:
+        """Return the trace of each joint's part of the hat matrix (n,), by squares.
+
+        `covariance` (p, p) is the inverse of the weighted normal equations.
+        """
+        p = self.base.n_base
+        # The torque's row and column are no part of it.
+        wide = np.zeros((p + 1, p + 1))
+        wide[:p, :p] = covariance
+        traces = np.zeros(self.n_joints)
+        for k, (spans, gram) in enumerate(zip(self._spans, self.joint_grams, strict=True)):
+            for rows, own_rows in spans:
+                for columns, own_columns in spans:
+                    part = np.einsum("ij,ij->", gram[own_rows, own_columns], wide[rows, columns])
+                    traces[k] += part
+        return np.asarray(weights**2 * traces)
+
+    @cached_property
+    def _spans(self) -> tuple[tuple[tuple[slice, slice], ...], ...]:
+        """Spans of neighbouring columns and torque of each joint, among all and among its own."""
+        p = self.base.n_base
+        return tuple(_find_spans(np.append(support, p)) for support in self.support)
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).
@@ -327,7 +388,8 @@ def reduce_rows(
     for block in blocks:
         gathered.seconds = max(gathered.seconds, block.seconds)
         torque_sum = np.array([rows[-1].sum() for rows in block.rows])
-        gathered.add(_Reduced(tuple(map(reduce_columns, block.rows)), torque_sum, block.time))
+        factors = tuple(map(shorten_columns, block.rows))
+        gathered.add(_Reduced(factors, torque_sum, block.time))
     return gathered.information(base, joint_names, tuple(support))
 
 
@@ -359,7 +421,7 @@ def _reduce_block(
     for product in products:
         # Torque before further columns, the order that the products are read in.
         product[:] = np.concatenate([product[: -1 - m], product[-1:], product[-1 - m : -1]])
-    return _Reduced(tuple(each.factor() for each in growing), torque_sum, part.time, products)
+    return _Reduced(tuple(each.shortest() for each in growing), torque_sum, part.time, products)
 
 
 class _Gathering:
@@ -390,10 +452,28 @@ class _Gathering:
             base,
             joint_names,
             support,
-            tuple(map(np.array, zip(*(block.factors for block in self.blocks), strict=True))),
+            tuple(map(stack_blocks, zip(*(block.factors for block in self.blocks), strict=True))),
             np.array([block.torque_sum for block in self.blocks]),
             tuple(block.time for block in self.blocks),
         )
+
+
+def _find_spans(places: Indices) -> tuple[tuple[slice, slice], ...]:
+    """Return spans of consecutive places, and where each lies among them."""
+    edges = [0, *(np.flatnonzero(np.diff(places) != 1) + 1).tolist(), len(places)]
+    return tuple(
+        (slice(int(places[first]), int(places[first]) + last - first), slice(first, last))
+        for first, last in pairwise(edges)
+    )
+
+
+def _reduce_blocks(factors: Array) -> Array:
+    """Return the rows of all blocks (B, m, q) together, or their triangular factor if shorter."""
+    only = factors[0]
+    if len(factors) == 1 and only.shape[0] == only.shape[1] and not np.any(np.tril(only, -1)):
+        # Signs of the rows are arbitrary, as in any triangular factor.
+        return np.asarray(only * np.where(np.diag(only) < 0.0, -1.0, 1.0)[:, None])
+    return shorten_rows(factors.reshape(-1, factors.shape[-1]))
 
 
 def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
@@ -404,7 +484,7 @@ def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
 def _merge_blocks(earlier: _Reduced, later: _Reduced) -> _Reduced:
     pairs = zip(earlier.factors, later.factors, strict=True)
     return _Reduced(
-        tuple(triangular_factor(np.vstack(pair)) for pair in pairs),
+        tuple(shorten_rows(np.vstack(pair)) for pair in pairs),
         earlier.torque_sum + later.torque_sum,
         TimeBlock.spanning((earlier.time, later.time)),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,14 +70,33 @@ def unpack_symmetric(text: str) -> Array:
     return upper + np.triu(upper, 1).T
 
 
+def stack_blocks(blocks: Sequence[Array]) -> Array:
+    """Return the rows (m, p) of blocks as one array (B, m, p), zeros below shorter ones."""
+    stacked = np.zeros((len(blocks), max(map(len, blocks)), blocks[0].shape[1]))
+    for place, rows in zip(stacked, blocks, strict=True):
+        place[: len(rows)] = rows
+    return stacked
+
+
+def shorten_rows(rows: Array) -> Array:
+    """Return rows (m, p), or their triangular factor if that has fewer."""
+    return triangular_factor(rows) if len(rows) > rows.shape[1] else rows
+
+
+def shorten_columns(columns: Array) -> Array:
+    """Return rows given as columns (p, m) as rows, or their triangular factor if it has fewer."""
+    return reduce_columns(columns) if columns.shape[1] > len(columns) else columns.T
+
+
 class GrowingFactor:
     """Reduce a growing number of rows with p columns to their factor, `capacity` at a time."""
 
     def __init__(self, p: int, capacity: int = ROWS_AT_ONCE) -> None:
         self._p = p
-        # The factor so far stands before the new rows, and is reduced with them.
-        self._rows = np.zeros((p, p + max(capacity, 1)))
-        self._filled = p
+        self._rows = np.empty((p, max(capacity, 1)))
+        self._filled = 0
+        self._known: Array | None = None
+        """Factor so far, as columns."""
 
     def append(self, columns: Array, support: Indices | None = None) -> None:
         """Add rows given as columns (p, m): samples innermost.
@@ -98,25 +118,29 @@ class GrowingFactor:
 
     def factor(self) -> Array:
         """Return R (p, p) of everything added so far."""
-        self._reduce()
-        r = self._rows[:, : self._p].T.copy()
+        if self._filled or self._known is None:
+            self._reduce()
+        r = np.asarray(self._known).T
         # Householder's signs are arbitrary: the diagonal is made positive, so that factors compare.
         return np.asarray(r * np.where(np.diag(r) < 0, -1.0, 1.0)[:, None])
 
+    def shortest(self) -> Array:
+        """Return the rows (m, p) themselves where they are at most p, else their factor."""
+        if self._known is None and self._filled <= self._p:
+            return self._rows[:, : self._filled].T.copy()
+        return self.factor()
+
     def _reduce(self) -> None:
-        if self._filled > self._p:
-            rows = (
-                self._rows.T
-                if (self._filled == self._rows.shape[1])
-                else self._rows[:, : self._filled].T.copy(order="F")
-            )
-            # Columns that one block reflector takes. The panels of `geqrf` are as wide as these
-            # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
-            # time.
-            lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
-            # Below the diagonal the reflections are left, and go.
-            self._rows[:, : self._p] = np.tril(rows[: self._p].T)
-            self._filled = self._p
+        # Rows of zeros in front make the factor square, and give up to half a digit more.
+        before = np.zeros((self._p, self._p)) if self._known is None else self._known
+        rows = np.concatenate([before, self._rows[:, : self._filled]], axis=1).T
+        # Columns that one block reflector takes. The panels of `geqrf` are as wide as these
+        # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
+        # time.
+        lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
+        # Below the diagonal the reflections are left, and go.
+        self._known = np.tril(rows[: self._p].T)
+        self._filled = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -68,6 +68,9 @@ def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> 
             result.estimates,
             nearest=nearest,
             information=_add_up_torque_information(result),
+            # With what held the fit where torques are silent: a friction that no motion shows is
+            # next to zero, and would be anything.
+            noise_root=Scaled(np.array(result.textbook_covariance)).inverse_root.T,
         )
 
     return result.once((as_built_parameters, nearest), find)

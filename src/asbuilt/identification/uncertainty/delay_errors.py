@@ -245,13 +245,14 @@ def build_delay_columns(
     every_normal = list[Array]()
     places = list[int]()
     blocks = list[TimeBlock]()
-    every = zip(rows, rows.grams(), strict=True)
+    every = zip(rows, rows.roots(), strict=True)
     for place, batch in enumerate(samples):
         rates = _derive_torque_rates(model, base, estimate.beta, batch)
         for part in divide_into_blocks(model, [batch], block_seconds):
             late = np.array([part.filtered(rate.__getitem__) for rate in rates])
             normal = np.zeros((r + 2 * n + 1,) * 2)
-            block, grams = next(every)
+            block, roots = next(every)
+            seen = list[Array]()
             for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
                 turned = weights[k] * root[support].T
                 # A torque logged late lacks its rate: minus.
@@ -259,10 +260,12 @@ def build_delay_columns(
                 e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
                 # Columns r + k and r + n + k; the stop leaves out the residual's.
                 both = slice(r + k, -1, n)
-                normal[:r, :r] += turned @ grams[k] @ turned.T
+                seen.append(turned @ roots[k].T)
                 normal[:r, [r + k, r + n + k, -1]] += turned @ (columns[:-1] @ np.vstack([c, e]).T)
                 normal[both, both] += c @ c.T
                 normal[both, -1] += c @ e
+            together = np.hstack(seen)
+            normal[:r, :r] = together @ together.T
             every_normal.append(normal)
             places.append(place)
             blocks.append(part.time)

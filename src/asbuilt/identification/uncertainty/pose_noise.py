@@ -76,9 +76,9 @@ class ExpectedScores:
                 k, [information.base.names[j] for j in support]
             )
             # Unit columns, so that the rank does not depend on units.
-            scale = np.linalg.norm(factor[:-1, :-1], axis=0)
+            scale = np.linalg.norm(factor[:, :-1], axis=0)
             scale[scale == 0.0] = 1.0
-            _, values, axes = np.linalg.svd(factor[:-1, :-1] / scale)
+            _, values, axes = np.linalg.svd(factor[:, :-1] / scale, full_matrices=False)
             # Singular value of scaled columns, relative to the largest, below which a direction is
             # empty.
             there = values > 1e-7 * values[0]

@@ -218,9 +218,10 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
     residual = np.append(-estimate.beta, 1.0)
     products = []
     for b in range(information.n_blocks):
-        factor = information.stacked(estimate.weights, b)
-        whitened = factor[:, :-1] @ estimate.solution.inverse_root
-        products.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
+        rows = information.rows_of_block(b, estimate.weights)
+        whitened = rows[:, :-1] @ estimate.solution.inverse_root
+        errors = rows @ residual
+        products.append((whitened.T @ whitened, whitened.T @ errors))
     grams, scores = map(np.array, zip(*products, strict=True))
     return grams, scores
 

@@ -20,7 +20,7 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
-from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.estimators.least_squares import fit_least_squares, solve_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import KeptRows, Rows, divide_into_blocks
 from asbuilt.identification.information.square_root_information import (
@@ -90,8 +90,8 @@ def find_plateaus(
     rests = fits.without_each([each.left_out for each in crowded])
     return tuple(
         found
-        for each, rest in zip(crowded, rests, strict=True)
-        if (found := _find_plateau(model, base, training, each, rest, fits))
+        for each, values in zip(crowded, rests, strict=True)
+        if (found := _find_plateau(model, base, training, each, values, fits))
     )
 
 
@@ -188,7 +188,7 @@ def _find_plateau(
     base: BaseParameters,
     training: Sequence[Samples],
     crowded: _Crowded,
-    rest: tuple[Sequence[Array], int],
+    rest: Array | None,
     fits: _Fits,
 ) -> Plateau | None:
     """Return a plateau if the model that is fitted to the rest exceeds it, and it does not."""
@@ -196,9 +196,9 @@ def _find_plateau(
     implied = np.zeros(0)
     # Few of the joints that stay long near their largest torque saturate: a fit with the weights
     # of the whole tells, one step of the thirty that weights of its own take.
-    for weights in (fits.whole.weights, None):
+    for known in (rest, None):
         try:
-            values = fits.fit_rest(*rest, weights)
+            values = fits.fit_without(crowded.left_out) if known is None else known
         except (AsbuiltError, np.linalg.LinAlgError):
             return None
         predicted = [predict_torque(model, base, values, samples) for samples in training]
@@ -249,56 +249,62 @@ class _Fits:
         """The fit of all samples."""
         return fit_least_squares(self._whole, weights="joint", prior=self._design)
 
-    @cached_property
-    def _grams(self) -> tuple[Array, ...]:
-        """Normal equations of each joint on all samples."""
-        return tuple(factor.T @ factor for factor in self._whole.joint_factors)
-
-    def without_each(
-        self, left_out: Sequence[Sequence[Mask]]
-    ) -> Iterator[tuple[Sequence[Array], int]]:
-        """Yield each joint's normal equations, and the samples they are of, without each choice.
+    def without_each(self, left_out: Sequence[Sequence[Mask]]) -> Iterator[Array | None]:
+        """Yield base parameters (p,) fitted without each choice, with the weights of the whole.
 
         A choice are samples (N,) of each recording; filtered samples that have any part in them go.
-        One walk serves as many choices as `MOST_HELD` has room for.
+        None where they are not well determined. One walk serves as many choices as `MOST_HELD` has
+        room for.
         """
-        size = sum(gram.nbytes for gram in self._grams)
-        at_once = max(1, int(MOST_HELD // size))
+        weights = self.whole.weights
+        whole = self._whole.summed(weights)
+        at_once = max(1, int(MOST_HELD // whole.nbytes))
         for first in range(0, len(left_out), at_once):
-            yield from self._without(left_out[first : first + at_once])
+            choices = left_out[first : first + at_once]
+            totals = [whole.copy() for _ in choices]
+            for number, gone in self._walk(choices):
+                # All joints' rows in all columns: one product instead of one a joint.
+                every = np.zeros((whole.shape[0], len(gone) * gone[0].shape[1]))
+                spans = np.split(every, len(gone), axis=1)
+                joints = zip(self._rows.support, gone, weights, spans, strict=True)
+                for support, rows, weight, span in joints:
+                    span[np.append(support, -1)] = weight * rows
+                np.subtract(totals[number], every @ every.T, out=totals[number])
+            for total in totals:
+                found = solve_squares(total)
+                yield None if found is None else found[0]
 
-    def _without(self, left_out: Sequence[Sequence[Mask]]) -> Iterator[tuple[Sequence[Array], int]]:
+    def fit_without(self, left_out: Sequence[Mask]) -> Array:
+        """Return base parameters (p,) without a choice, with weights of its own.
+
+        They are as exact as normal equations, half the digits, enough for a comparison.
+        """
+        grams = [gram.copy() for gram in self._whole.joint_grams]
+        n_samples = self._whole.n_samples
+        for _, gone in self._walk([left_out]):
+            n_samples -= gone[0].shape[1]
+            for gram, rows in zip(grams, gone, strict=True):
+                np.subtract(gram, rows @ rows.T, out=gram)
+        factors = tuple(_take_root(gram)[None] for gram in grams)
+        time = replace(self._whole.blocks[0], n_samples=n_samples)
+        rest = replace(self._whole, factors=factors, blocks=(time,))
+        return fit_least_squares(rest, weights="joint", prior=self._design).beta
+
+    def _walk(self, left_out: Sequence[Sequence[Mask]]) -> Iterator[tuple[int, tuple[Array, ...]]]:
+        """Yield the number of a choice and the rows of each joint that go with it, by block."""
         # Recordings by identity: blocks of one share its samples.
         places = {id(samples): place for place, samples in enumerate(self._samples())}
-        grams = [[gram.copy() for gram in self._grams] for _ in left_out]
-        n_samples = [0] * len(left_out)
         for part, block in zip(self._blocks, self._rows, strict=True):
             place = places[id(part.samples)]
             for number, choice in enumerate(left_out):
-                rests = part.rests_on(~choice[place])
-                n_samples[number] += int(np.count_nonzero(rests))
-                for gram, rows in zip(grams[number], block.rows, strict=True):
-                    # Rows that take any part in what is left out go.
-                    gone = rows[:, ~rests]
-                    np.subtract(gram, gone @ gone.T, out=gram)
-        return zip(grams, n_samples, strict=True)
+                # Rows that take any part in what is left out go.
+                gone = part.touches(choice[place])
+                if gone.any():
+                    yield number, tuple(rows[:, gone] for rows in block.rows)
 
     def _samples(self) -> list[Samples]:
         """Return the recordings, in order."""
         return list({id(block.samples): block.samples for block in self._blocks}.values())
-
-    def fit_rest(
-        self, grams: Sequence[Array], n_samples: int, weights: Array | None = None
-    ) -> Array:
-        """Return base parameters (p,) by normal equations, with weights (n,) or those of its own.
-
-        They are as exact as these, half the digits, enough for a comparison.
-        """
-        factors = tuple(_take_root(gram)[None] for gram in grams)
-        time = replace(self._whole.blocks[0], n_samples=n_samples)
-        rest = replace(self._whole, factors=factors, blocks=(time,))
-        chosen = "joint" if weights is None else weights
-        return fit_least_squares(rest, weights=chosen, prior=self._design).beta
 
 
 INDEPENDENT = 1e-4

@@ -205,7 +205,7 @@ def _build_frame(entry: Entry) -> pl.DataFrame:
     for information, first in ((entry.whole, WHOLE), (entry.information, 0)):
         for b, block in enumerate(information.blocks):
             for k, joint in enumerate(information.joint_names):
-                factor = information.factors[k][b]
+                factor = merge_factors(information.factors[k][b][None])
                 tilted = first == WHOLE and entry.tilt
                 own = {
                     "block": first + b,

@@ -40,6 +40,8 @@ _PACKED = {
     b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "unpack it, or export the sheet as CSV"),
 }
 """First bytes of files that are not text, whatever their suffix."""
+FIRST_LINES = 64
+"""Lines by which names, separator and decimal comma are told."""
 LONGEST_LINE = 1_000_000
 """Characters of a line; 10 000 columns of full precision have fewer."""
 AT_ONCE = 1 << 20
@@ -361,7 +363,7 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
     return replace(_make_header(path, dialect), columns=columns)
 
 
-def _read_first_lines(path: Path, count: int = 64) -> list[str]:
+def _read_first_lines(path: Path) -> list[str]:
     with path.open("rb") as file:
         start = file.read(4096)
     packed, cure = next(
@@ -385,7 +387,7 @@ def _read_first_lines(path: Path, count: int = 64) -> list[str]:
         if fault:
             raise RecordingError(f"{path} is not a recording: {what}", cure=way_out, file=str(path))
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = [file.readline(LONGEST_LINE) for _ in range(count)]
+        lines = [file.readline(LONGEST_LINE) for _ in range(FIRST_LINES)]
     if any(len(line) == LONGEST_LINE for line in lines):
         raise RecordingError(
             f"{path} is not a recording: it has a line of {LONGEST_LINE} characters or more",
