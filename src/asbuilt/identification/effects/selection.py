@@ -366,8 +366,8 @@ class Lacking:
         moves = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
             fit,
             fit.estimate.weights,
-            # The same estimate without CAD, for errors that do not count on it.
         )
+        # The same estimate without CAD, for errors that do not count on it.
         plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
         free = self._follows(fit, plain.weights)
         bias = moves @ mean
