@@ -22,7 +22,7 @@ from asbuilt.identification.calibration.payload import (
     identify_payload_samples,
 )
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.equations import gather_cause_data
+from asbuilt.identification.information.cause_data import gather_cause_data
 
 ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 DRAWS = 60

@@ -21,7 +21,7 @@ from asbuilt.experiment import (
 )
 from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.identification import IdentificationResult, find_effects, identify_samples
-from asbuilt.identification.information.equations import gather_cause_data
+from asbuilt.identification.information.cause_data import gather_cause_data
 
 TOOL = LinkInertia.from_com(1.9, [0.02, 0.0, 0.08], np.diag([0.01, 0.01, 0.006]))
 FRICTION = (1.0, 2.0)

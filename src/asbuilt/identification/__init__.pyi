@@ -43,8 +43,8 @@ from .estimators.methods import estimator as estimator
 from .estimators.methods import method_title as method_title
 from .estimators.methods import methods as methods
 from .identify import identify_samples as identify_samples
+from .information.cause_data import CauseData as CauseData
 from .information.equations import MODEL as MODEL
-from .information.equations import CauseData as CauseData
 from .information.equations import Equations as Equations
 from .information.estimate import Estimate as Estimate
 from .information.estimate import EstimationData as EstimationData

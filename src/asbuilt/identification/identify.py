@@ -44,8 +44,8 @@ from asbuilt.identification.result.torque_prediction import (
     set_link_parameters,
 )
 from asbuilt.identification.uncertainty.bias import OmittedBias
-from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, estimate_delay_errors
+from asbuilt.identification.uncertainty.error_kinds import ERROR_KINDS, ErrorKind
 from asbuilt.identification.uncertainty.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,

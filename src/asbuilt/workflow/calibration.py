@@ -1,4 +1,7 @@
-"""Payload, torque gains and channels of a robot from recordings without swapped joints."""
+"""Payload, torque gains and channels of a robot from recordings without swapped joints.
+
+Study-level: recordings, options and findings. The numerics are in `identification/calibration`.
+"""
 
 from __future__ import annotations
 

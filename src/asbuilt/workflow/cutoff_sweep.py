@@ -202,7 +202,6 @@ def sweep_cutoffs(
                 np.mean([getattr(item.metrics_as_built, name) ** 2 for item in validations], axis=0)
             )
             for name in ("rms_recorded", "rms")
-            # Each joint relative to its best cutoff: joints of large torques do not decide alone.
         )
         whiteness, share = np.mean(
             [measure_whiteness(errors.t, errors.error, cutoff) for errors in validations],
@@ -216,6 +215,7 @@ def sweep_cutoffs(
         )
     # The best of each joint, at whatever cutoff.
     best = np.min([trial.rms_recorded for trial in found], axis=0)
+    # Each joint relative to its best cutoff: joints of large torques do not decide alone.
     scores, bands = (
         np.array([np.sqrt(np.mean((rms / best) ** 2)) for rms in errors])
         for errors in ([trial.rms_recorded for trial in found], [trial.rms for trial in found])

@@ -1,4 +1,8 @@
-"""Choices of the signal chain that the torque decides: delays, and rates of a free base."""
+"""Delays of a study's recordings, which the torque decides.
+
+Study-level: the numerics are in `identification/calibration/delay.py` and
+`identification/uncertainty/delay_errors.py`.
+"""
 
 from __future__ import annotations
 

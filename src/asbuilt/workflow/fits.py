@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -228,17 +228,23 @@ def _fit_all(
     kept = KeptRows()
     model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
-    def fitted(samples: Sequence[Samples], drive: DriveSet, kind: str = "") -> Fit:
+    def fitted(
+        samples: Sequence[Samples],
+        choice: DriveChoice,
+        kind: str = "",
+        drive: DriveSet | None = None,
+    ) -> Fit:
+        terms = choice.drive if drive is None else drive
         fit = fit_samples(
             model,
             samples,
-            base=find_base_parameters(model, drive),
+            base=find_base_parameters(model, terms),
             method=options.method,
             undetermined=options.undetermined,
             errors=options.errors,
             block_seconds=options.block_seconds,
             threads=options.threads,
-            fitted_nonlinear=[place for place in choice.fitted if place.is_of(drive)],
+            fitted_nonlinear=[place for place in choice.fitted if place.is_of(terms)],
             expected=source.expected,
             kept=kept,
             kind=kind,
@@ -247,44 +253,20 @@ def _fit_all(
         return source.with_errors(fit)
 
     if options.refine is None or parts is None:
-        kind = ""
-        needed = set[tuple[str, str]]()
-        # One that goes can take another with it: asked until every effect that is left stays.
-        while True:
-            final = _with_omitted_bias(fitted(used, choice.drive, kind), effects)
-            validated = final
-            needless = _list_unsure(final, effects)
-            if not needless:
-                # A second fit only where the final one sees what validation is to predict.
-                if prepared.whole:
-                    validated = fitted(prepared.training, choice.drive, kind)
-                test = LeftOut.of(validated, prepared) if source.is_measured else None
-                needless = set() if test is None else test.list_harmful(effects.found)
-                # Once: what was left out decides between kinds of fits, and then has decided.
-                if not (needless or kind or test is None):
-                    kind = test.find_better_kind()
-                    if kind:
-                        continue
-            # Of a servo's commands no torque is known that could test.
-            if not needless and source.is_measured:
-                refit = partial(fitted, prepared.training, kind=kind)
-                needless = _find_unshown(
-                    final, effects, needed, partial(_measure_gain, validated, prepared, test, refit)
-                )
-            if not needless:
-                break
-            effects = effects.without(needless)
-            choice = choice.without(needless, model.joint_names)
+        settled = _drop_needless_effects(fitted, prepared, source, choice, effects)
         left_out = _leave_out(
-            final, prepared, options, lambda others: fitted(others, choice.drive, kind)
+            settled.final,
+            prepared,
+            options,
+            lambda others: fitted(others, settled.choice, settled.kind),
         )
         return Fits(
             model,
             prepared,
-            final,
-            validated,
-            choice,
-            effects,
+            settled.final,
+            settled.validated,
+            settled.choice,
+            settled.effects,
             flat,
             source,
             None,
@@ -293,7 +275,7 @@ def _fit_all(
     from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
     final, source, refined, drive = refine_study(
-        lambda drive: fitted(used, drive),
+        lambda drive: fitted(used, choice, drive=drive),
         choice.drive,
         parts,
         source,
@@ -308,6 +290,71 @@ def _fit_all(
     prepared = source.with_delays(prepared, known)
     final = _with_omitted_bias(final, effects)
     return Fits(model, prepared, final, final, choice, effects, flat, source, refined)
+
+
+class _FitOfChoice(Protocol):
+    """Fit samples with the drive terms of a choice, or with others, by a kind of fit."""
+
+    def __call__(
+        self,
+        samples: Sequence[Samples],
+        choice: DriveChoice,
+        kind: str = "",
+        drive: DriveSet | None = None,
+    ) -> Fit:
+        """Return the fit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settled:
+    """Hold the final fit, the one that is validated, and the effects and kind of fit they have."""
+
+    final: Fit
+    validated: Fit
+    choice: DriveChoice
+    effects: Effects
+    kind: str
+
+
+def _drop_needless_effects(
+    fitted: _FitOfChoice,
+    prepared: Prepared,
+    source: MeasuredTorque,
+    choice: DriveChoice,
+    effects: Effects,
+) -> _Settled:
+    """Fit, and drop the effects that the fits do not bear out.
+
+    An effect goes if the final fit is not sure of it, if what was left out is predicted better
+    without it, or if nothing shows it. One that goes can take another with it: asked until every
+    effect that is left stays.
+    """
+    kind = ""
+    needed = set[tuple[str, str]]()
+    while True:
+        final = _with_omitted_bias(
+            fitted(prepared.whole or prepared.training, choice, kind), effects
+        )
+        needless = _list_unsure(final, effects)
+        if not needless:
+            # A second fit only where the final one sees what validation is to predict.
+            validated = fitted(prepared.training, choice, kind) if prepared.whole else final
+            # Of a servo's commands no torque is known that could test.
+            test = LeftOut.of(validated, prepared) if source.is_measured else None
+            needless = set() if test is None else test.list_harmful(effects.found)
+            # Once: what was left out decides between kinds of fits, and then has decided.
+            if not (needless or kind or test is None):
+                kind = test.find_better_kind()
+                if kind:
+                    continue
+            if not needless and source.is_measured:
+                refit = partial(fitted, prepared.training, choice, kind)
+                gain = partial(_measure_gain, validated, prepared, test, refit)
+                needless = _find_unshown(final, effects, needed, gain)
+            if not needless:
+                return _Settled(final, validated, choice, effects, kind)
+        effects = effects.without(needless)
+        choice = choice.without(needless, final.model.joint_names)
 
 
 def _with_omitted_bias(fit: Fit, effects: Effects) -> Fit:

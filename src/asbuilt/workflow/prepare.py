@@ -36,6 +36,8 @@ from asbuilt.workflow.delays import Delays, settle_delays
 from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions
 
 Progress = Callable[[str, float], None]
+FINGERPRINTED = 50_000
+"""Samples of a recording's beginning in its fingerprint; a stream holds more at once."""
 FEWEST = 10
 """Samples, after the filters, below which a part is too short to be held out by default."""
 
@@ -65,6 +67,18 @@ class Prepared:
     motions
         Numbers of the recordings of each motion, which are left out in turn: `held_out` are then
         the recordings whole; else empty.
+
+    Notes
+    -----
+    | hold-out | `training` | `held_out` | `whole` | `motions` |
+    |---|---|---|---|---|
+    | none, or too little data | all | - | - | - |
+    | a stated rule | a part | the rest | - | - |
+    | by default, else | a part | the rest | all | - |
+    | by default, several motions | all | each recording, to be left out in turn | - | theirs |
+
+    The final fit uses `whole`, else `training`; what is held out tests a fit of `training`, or fits
+    without each of `motions`.
     """
 
     chain: SignalChain | None
@@ -269,8 +283,8 @@ def settle_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | No
 
 
 def measure_shortest(recordings: Sequence[Recorded]) -> float:
-    # A stream is measured by its beginning, which is long enough for any rule.
     """Return the length of the shortest recording [s]."""
+    # A stream is measured by its beginning, which is long enough for any rule.
     parts = (item if isinstance(item, Samples) else head_of(item) for item in recordings)
     return min(float(part.t[-1] - part.t[0]) for part in parts)
 
@@ -278,8 +292,7 @@ def measure_shortest(recordings: Sequence[Recorded]) -> float:
 def digest_recording(recording: Recording) -> str:
     """Return a fingerprint of the first times and positions of a recording."""
     # Beginnings tell recordings apart: reading all of a stream would take too long.
-    # Samples in a fingerprint; a stream holds more at once.
-    parts = [part[:50_000].tobytes() for part in (recording.t, recording.q)]
+    parts = [part[:FINGERPRINTED].tobytes() for part in (recording.t, recording.q)]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
@@ -289,14 +302,13 @@ def is_trained_on(result: IdentificationResult, item: Recorded) -> bool:
 
 
 def find_unseeing(
-    # Samples have no fingerprint: whether they were seen is not known.
-    result: IdentificationResult,
-    item: Recorded,
+    result: IdentificationResult, item: Recorded
 ) -> tuple[IdentificationResult, str | None]:
     """Return a result with values that have not seen a recording, and the rule that divides it.
 
     The rule is None if they have seen nothing of it, or all.
     """
+    # Samples have no fingerprint: whether they were seen is not known.
     if isinstance(item, Samples) or result.holdout is None or not is_trained_on(result, item):
         return result, None
     if result.holdout == RECORDINGS:

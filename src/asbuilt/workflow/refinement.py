@@ -1,4 +1,7 @@
-"""Refinement of a study by simulated trajectories of its training data."""
+"""Refinement of a study by simulated trajectories of its training data.
+
+Study-level: the numerics are in `identification/trajectories`.
+"""
 
 from __future__ import annotations
 

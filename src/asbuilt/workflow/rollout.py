@@ -1,4 +1,7 @@
-"""Rollouts of a study: which windows, which robots, driven by what."""
+"""Rollouts of a study: which windows, which robots, driven by what.
+
+Study-level: the numerics are in `identification/trajectories` and `validation/rollout`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Position servos in a study: what is unknown of them is identified before the robot."""
+"""Position servos in a study: what is unknown of them is identified before the robot.
+
+Study-level: the numerics are in `identification/servo`.
+"""
 
 from __future__ import annotations
 
@@ -372,6 +375,7 @@ def _report_gains(model: RobotModel, found: ServoEstimate) -> Iterator[Finding]:
     relative = np.array(errors.kp) / np.where(unknown, found.servo.kp, 1.0)
     # Relative standard error of a stiffness beyond which only ratios to it are determined.
     lost = unknown & ~(relative < 0.5)
+    # Where gains are undetermined their scale is no question.
     if np.any(lost):
         yield Finding(
             "servo_gain_undetermined",
@@ -379,7 +383,6 @@ def _report_gains(model: RobotModel, found: ServoEstimate) -> Iterator[Finding]:
             f"The stiffness of the position servo of {join_names(names[lost].tolist())} is"
             " undetermined: only ratios of parameters to it are determined",
             Cure("give it, or record a motion with more gravity, or a known payload"),
-            # Undetermined gains are said first: then their scale is no question.
         )
     elif np.any(unknown):
         sources = sorted({scale_source for scale_source in errors.scale if scale_source != "given"})

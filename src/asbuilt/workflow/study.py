@@ -156,7 +156,6 @@ class Study:
         return self.result.tvalues
 
     def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
-        # Commands are measured by simulated motion, so that its errors are the ones shown.
         """Return confidence intervals, shape (p, 2): `IdentificationResult.conf_int`."""
         return self.result.conf_int(alpha)
 
@@ -317,8 +316,8 @@ def identify(
         )
     refuse_ground(robot.name, robot.contacts, wanted.refine)
     if wanted.rollout:
-        # A missing simulator is said before the work.
-        import_mujoco("a rollout")  # before hours of work
+        # A missing simulator is said before hours of work.
+        import_mujoco("a rollout")
     model, (trained, others) = read_fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_prior(model)
     # Samples of no recording have nothing to be held out of.
@@ -342,7 +341,7 @@ def identify(
 
         parts = select_simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     # Motions are kept for the preparation alone: they are the largest part of the memory.
-    del filters  # motions of whole recordings
+    del filters
     fits = fit_study(model, prepared, options, source, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)

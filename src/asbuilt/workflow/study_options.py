@@ -20,7 +20,7 @@ from asbuilt.identification.bodies.known_masses import (
 )
 from asbuilt.identification.effects.effect import EffectsWanted
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
+from asbuilt.identification.uncertainty.error_kinds import ERROR_KINDS, ErrorKind
 from asbuilt.ranges import Range
 
 if TYPE_CHECKING:

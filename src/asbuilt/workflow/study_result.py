@@ -22,7 +22,7 @@ from asbuilt.identification.effects.effect_findings import (
     report_springs_alike,
 )
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.information.equations import CauseData, gather_cause_data
+from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally

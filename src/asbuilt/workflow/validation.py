@@ -1,4 +1,7 @@
-"""Validation of a result on recordings, and review of a tuned description by them."""
+"""Validation of a result on recordings, and review of a tuned description by them.
+
+Study-level: recordings, options and verdict. The numerics are in the stage `validation`.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ from asbuilt.identification import (
     identify_payload_samples,
     identify_samples,
 )
-from asbuilt.identification.information.equations import gather_cause_data
+from asbuilt.identification.information.cause_data import gather_cause_data
 
 TOOL = LinkInertia.from_com(
     1.8,

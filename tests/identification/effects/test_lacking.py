@@ -15,7 +15,7 @@ from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Samples, VirtualRobot, prepare_samples
 from asbuilt.identification import find_effects, identify_samples, widening
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.identification.uncertainty.block_scatter import ErrorKind
+from asbuilt.identification.uncertainty.error_kinds import ErrorKind
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues
 from asbuilt.workflow import StudyOptions, identify
 

@@ -16,7 +16,7 @@ from scipy import stats
 
 from asbuilt.identification import evaluate_worth
 from asbuilt.identification.effects.effect import Effect
-from asbuilt.identification.effects.gathering import EFFECTS, Candidate
+from asbuilt.identification.effects.gathering import EFFECT_COLUMNS, Candidate
 from asbuilt.identification.effects.selection import Selection, _find_best_form
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.information.equations import MODEL, BlockRows
@@ -71,7 +71,7 @@ class Rows:
     def selection(self, candidates=CANDIDATES, applied=("one", "two", "whole")):
         own = [rows[:, :, np.append(s, ALL)] for rows, s in zip(self.joints, SUPPORT, strict=True)]
         rows = BlockRows(
-            {MODEL: BASE, EFFECTS: ALL - BASE},
+            {MODEL: BASE, EFFECT_COLUMNS: ALL - BASE},
             SUPPORT,
             tuple(own),
             (TimeBlock("log", 0.0, 1.0, SAMPLES),) * BLOCKS,

@@ -28,7 +28,7 @@ from asbuilt.identification.drives.nonlinear_parameters import (
 )
 from asbuilt.identification.identify import set_link_parameters
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.uncertainty.block_scatter import ErrorKind
+from asbuilt.identification.uncertainty.error_kinds import ErrorKind
 from asbuilt.tables import round_with_error
 from asbuilt.workflow import StudyOptions, identify
 

@@ -8,7 +8,7 @@ from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.excitation import FourierMotion
 from asbuilt.experiment import SensorNoise, SignalChain, VirtualRobot, hold_out, prepare_samples
 from asbuilt.identification import identify_samples
-from asbuilt.identification.information.equations import gather_cause_data
+from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.validation import CadTolerance, compare, validate_samples
 from asbuilt.validation.comparison.torque_change import evaluate_torque_cost
 from asbuilt.writers.figures.comparison_figures import draw_differences

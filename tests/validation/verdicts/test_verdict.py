@@ -10,12 +10,13 @@ import pytest
 
 from asbuilt.description import load_robot
 from asbuilt.description.model import MassRange
+from asbuilt.dynamics import PositionServo
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording, SignalChain, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
 from asbuilt.identification import FoundEffect
 from asbuilt.tables import format_share
-from asbuilt.validation import study_verdict, validate_description
+from asbuilt.validation import Rollout, RolloutErrors, study_verdict, validate_description
 from asbuilt.workflow import Study, identify, validate
 from asbuilt.workflow.prepare import group_by_motion
 from asbuilt.writers import as_built, write_robot_toml
@@ -74,6 +75,27 @@ def test_training_data_alone_are_no_test(logs: list[Recording]) -> None:
     assert (found.error.as_built, found.error.exported) == (None, None)
     assert {each.use for each in found.joints} == {"untested"}
     assert {each.error for each in found.joints} == {None}
+
+
+@pytest.mark.parametrize(("seen", "use"), [(True, "untested"), (False, "yes")])
+def test_simulated_motion_of_training_data_is_no_test_either(
+    study: Study, seen: bool, use: str
+) -> None:
+    """Where commands stand for torques motion is measured, of the same log or of another."""
+    model = study.result.model
+    size = np.full(model.n_joints, 2e-3)
+    errors = RolloutErrors(size, 2e-3, size, None, 0, 0.5, size, 2e-3, "mrad")
+    rollout = Rollout(0.5, "command", (), errors, errors, None, None, ())
+    servo = PositionServo(kp=size, kd=size)
+    result = replace(study.result, servo=servo)
+    finding = Finding("nothing_held_out", "warning", "the result was identified from these logs")
+    found = study_verdict(result, (finding,) if seen else (), study.validations, (rollout,))
+    assert (found.measure, found.use) == ("rollout", use)
+    if seen:
+        assert found.reasons[0] == "nothing_held_out"
+        assert found.text.startswith("UNTESTED: simulates its log to 2 ")
+        assert found.text.endswith("; record another motion.")
+        assert (found.error.as_built, found.error.exported) == (None, None)
 
 
 def test_whole_recordings_are_left_out_in_turn(logs: list[Recording]) -> None:

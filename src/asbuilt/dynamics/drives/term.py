@@ -88,7 +88,7 @@ class DriveTerm:
     symbols: ClassVar[tuple[str, ...]]
     """Symbol of each parameter; the joint number follows it in parameter names."""
     columns: ClassVar[tuple[str, ...]]
-    """Formula (`drives.formula`) of each column; `q`, `qd`, `qdd` of the motor for `of_motor`."""
+    """Each column in the language of `Formula`; `q`, `qd`, `qdd` of the motor for `of_motor`."""
     formula: ClassVar[str]
     """The torque in mathematical notation."""
     revolute_units: ClassVar[tuple[str, ...]] = ()

@@ -173,10 +173,10 @@ def segments_free(
             for (i, j), count in zip(pairs, counts, strict=True)
         ]
     )
+    # Segments are joined into few calls, and cut apart again by their counts.
     over = [
         find_violations(obstacles, places[start : start + AT_ONCE])
         for start in range(0, len(places), AT_ONCE)
-        # Segments are joined into few calls, and cut apart again by their counts.
     ]
     return ~np.logical_or.reduceat(np.concatenate(over), np.cumsum([0, *counts[:-1]]))
 
@@ -198,9 +198,9 @@ def _find_shortest_routes(
 ) -> tuple[Array, NDArray[np.int32]]:
     """Return the lengths of the shortest routes between the poses, and predecessors on them."""
     count = len(poses)
+    # Nodes of the roadmap follow the poses.
     near = (
         np.argsort(_measure_distances(poses, roadmap.nodes, bounds), axis=1)[:, :NEIGHBOURS] + count
-        # Nodes of the roadmap follow the poses.
     )
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]
     direct = [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
@@ -216,8 +216,8 @@ def _find_shortest_routes(
         _build_graph(ends, weights, len(nodes)),
         directed=False,
         indices=np.arange(count),
-        return_predecessors=True,
         # Predecessors are kept from each pose, so that the turns on the way are known.
+        return_predecessors=True,
     )
     return np.asarray(lengths[:, :count]), np.asarray(before)
 

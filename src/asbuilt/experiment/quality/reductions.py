@@ -370,8 +370,8 @@ def choose_segments(clock: Clock) -> tuple[list[Indices], float, int]:
         for a in range(start, stop, _SEGMENT_SAMPLES)
         for b in [min(a + _SEGMENT_SAMPLES, stop)]
         if b - a > 2 * window
-        # Evenly spread over the log, its beginning and end included.
     ]
+    # Evenly spread over the log, its beginning and end included.
     chosen = np.linspace(0, len(bounds) - 1, min(len(bounds), _MOST_SEGMENTS)).astype(int)
     return [rows[slice(*bounds[k])] for k in chosen], step, window
 

@@ -47,8 +47,8 @@ def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
             " and what else this torque alone determines stay at CAD",
             Cure("log it, or name its column in a recording sheet: [columns] torque = [...]"),
             joint=joint.name,
-            torque=1.0,
             # The whole torque of this joint is lost: it ranks first.
+            torque=1.0,
         )
 
 

@@ -237,8 +237,8 @@ class TorqueFit:
 
     @property
     def ratio(self) -> float:
-        # By size alone: signs and order may still be wrong.
         """Factor from predicted to measured torques by their size."""
+        # By size alone: signs and order may still be wrong.
         return float(np.sqrt(np.sum(self.measured**2) / np.sum(self.predicted**2)))
 
     @property

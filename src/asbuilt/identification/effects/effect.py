@@ -166,7 +166,10 @@ class Effect(ABC):
     imitators: ClassVar[tuple[str, ...]] = ()
     """Kinds that imitate, at its joint and the one before, what its columns leave of it."""
     in_model: ClassVar[bool] = False
-    """Whether a model can have it; others are named."""
+    """Whether a model can have it; others are named. A family with columns of its own is put into a
+    model only as a drive term (`DriveEffect`, made of every term), or if it is `removable`."""
+    in_bodies: ClassVar[bool] = False
+    """Whether it is a part of the bodies, which every model has, without columns of its own."""
     of_log: ClassVar[bool] = False
     """Whether the log is wrong rather than the model."""
     usual: ClassVar[float] = 0.0
@@ -306,7 +309,19 @@ EFFECTS: Registry[Effect] = Registry(
 
 
 def effect(family: type[Effect]) -> type[Effect]:
-    """Register a family of effects."""
+    """Register a family of effects.
+
+    Raises
+    ------
+    UsageError
+        If it would be in a model that has no place for its columns.
+    """
+    if family.in_model and not (family.removable or family.in_bodies):
+        raise UsageError(
+            f"effect {family.key!r} is to be in the model (in_model), which has no place for its"
+            " columns: register a drive term instead, or leave in_model out, so that it is named",
+            value=family.key,
+        )
     # A family that imitates no other is a kind of its own.
     family.kind = family.kind or family.key
     EFFECTS.register(family.key, family())

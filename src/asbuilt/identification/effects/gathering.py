@@ -24,7 +24,7 @@ from asbuilt.identification.information.rows import (
 )
 from asbuilt.identification.information.triangular import shorten_columns, stack_blocks
 
-EFFECTS = "effects"
+EFFECT_COLUMNS = "effects"
 """Group of the columns of all candidates."""
 At = tuple[str, int | None]
 """Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
@@ -97,9 +97,8 @@ def gather_rows(
     candidates, slots, size = _place_candidates(variants, robot.model.n_joints, base)
     plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=slots.shape[1] + 1)
     support = [np.concatenate(both) for both in zip(plan.support, slots, strict=True)]
-    # a joint has not every slot, but torque
+    # Slots of each joint, and the torque: one spare row more, after all columns of effects.
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
-    # The torque is one spare row more, after all columns of effects.
     found: list[list[Array]] = []
     times: list[TimeBlock] = []
     columns = _Columns(robot, variants)
@@ -111,7 +110,7 @@ def gather_rows(
             found.append([shorten_columns(each) for each in own])
             times.append(part.time)
     gathered = BlockRows(
-        {MODEL: base.n_base, EFFECTS: size - base.n_base},
+        {MODEL: base.n_base, EFFECT_COLUMNS: size - base.n_base},
         tuple(s[s >= 0] for s in support),
         tuple(map(stack_blocks, zip(*found, strict=True))),
         tuple(times),

@@ -1,4 +1,7 @@
-"""Search for effects: one pass and one selection, repeated where an effect is not linear."""
+"""Search for effects: one pass and one selection, repeated where an effect is not linear.
+
+What it finds may still go: `workflow/fits.py` drops what the final fit does not bear out.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +41,6 @@ from asbuilt.identification.information.square_root_information import (
 )
 from asbuilt.scaled import Scaled
 
-# Say what is searched.
-
 # Samples of long recordings that are searched, in spans of `SEARCH_SPAN` seconds
 SEARCH_SAMPLES = 30_000
 SEARCH_SPAN = 10.0
@@ -51,7 +52,7 @@ SEARCH_LONGEST = 5.0
 SEARCH_FEWEST_GROUPS = 3
 SEARCH_ROUNDS = 8  # Passes for effects that are taken out
 SEARCH_TRIED = 3000  # Samples by which factors are tried
-# Fall of the logarithm of the residual, mean over joints, from which on a factor is
+# Fall of the logarithm of the residual, mean over joints, from which on a factor is far off
 SEARCH_FAR_OFF = 0.05
 # Rise of that logarithm with rough weights, which are within half of that, from which on no factor
 # is fitted further
@@ -278,10 +279,10 @@ class _Search:
         return (kept, without) if len(kept) == len(found) else self._settle(kept)
 
     def _is_sure(self, removed: Trial, selection: Selection) -> bool:
-        # Chi-square of the values by their own covariance: a tilt has two, about both axes.
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
         own = selection.own(removed.candidate.at)
         values = _select_acting(removed, selection)
+        # Chi-square of the values by their own covariance: a tilt has two, about both axes.
         covariance = selection.values_of([own])[1]
         square = Scaled(covariance).square(values)
         possible = own.effect.is_possible(removed.values, None, selection.robot)

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from asbuilt.arrays import Array, Indices
 from asbuilt.findings import join_names
 from asbuilt.identification.effects.effect import Described
-from asbuilt.identification.effects.gathering import EFFECTS, At, Candidate
+from asbuilt.identification.effects.gathering import EFFECT_COLUMNS, At, Candidate
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.equations import BlockRows
@@ -366,8 +366,8 @@ class Lacking:
         moves = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
             fit,
             fit.estimate.weights,
-            # The same estimate without CAD, for errors that do not count on it.
         )
+        # The same estimate without CAD, for errors that do not count on it.
         plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
         free = self._follows(fit, plain.weights)
         bias = moves @ mean
@@ -435,7 +435,7 @@ def _is_constant(candidate: Candidate, selection: Selection) -> bool:
 
 def _list_names(selection: Selection) -> tuple[str, ...]:
     """Return the names of the model's parameters in the rows, and of terms added to it."""
-    names = [*selection.robot.base.names, *[""] * selection.rows.groups[EFFECTS]]
+    names = [*selection.robot.base.names, *[""] * selection.rows.groups[EFFECT_COLUMNS]]
     for candidate in selection.taken:
         if (
             candidate.term is None

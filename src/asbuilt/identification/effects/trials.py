@@ -1,4 +1,15 @@
-"""Trials of effects: what each would change in a fit toward CAD, and on held-out motion."""
+"""Trials of effects: what each would change in a fit toward CAD, and on held-out motion.
+
+Four tests ask whether an effect is sure, each of another fit, later ones of fits that are nearer to
+the result:
+
+| test | of | sure if |
+|---|---|---|
+| `Trial.is_sure` | a candidate, next to what is taken so far | no chance over all candidates |
+| `Selection._measure_sureness` | an effect that was taken, next to all others | two errors |
+| `_Search._is_sure` | one that is stated and taken out of the robot | chi-square of its values |
+| `effect_findings.is_sure` | a drive term in the final fit, with its bodies | two errors |
+"""
 
 from __future__ import annotations
 

@@ -245,11 +245,11 @@ def choose_candidate(
     for c in open_to:
         if c not in consistent and exceeds(totals[best] - totals[c], _surely_better(len(parts))):
             best = c
+    # In order from CAD: the first as good as the best ends the search.
     chosen = next(
         c
         for c in open_to
         if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
-        # In order from CAD: the first as good as the best ends the search.
     )
     return MotionChoice(
         tuple(candidates),

@@ -177,7 +177,8 @@ def solve_squares(total: Array) -> tuple[Array, Array] | None:
 
     None where their condition takes too many digits, or there is nothing to solve.
     """
-    size = np.sqrt(np.diag(total)[:-1])
+    # Where rows were taken away rounding may be left below zero.
+    size = np.sqrt(np.maximum(np.diag(total)[:-1], 0.0))
     if size.size == 0 or not np.all(size > 0.0):
         return None
     most = ENOUGH_BY_SQUARES * size.size

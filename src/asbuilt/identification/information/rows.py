@@ -397,7 +397,7 @@ class Rows:
     def roots(self) -> list[tuple[Array, ...]]:
         """Return rows (m, p_k) with the squares of W_k, of every block and joint, few of them.
 
-        They outlast another torque.
+        Another torque leaves them as they are.
         """
         if self._roots is None:
             self._roots = [

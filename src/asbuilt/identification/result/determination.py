@@ -1,4 +1,8 @@
-"""Which parameters a recording determines, how well, and which further motion would help."""
+"""Which parameters a recording determines, how well, and which further motion would help.
+
+The rank, and with it what is undetermined, comes with the result: `solve_factor` has decided it.
+Here parameters are classed by their standard errors.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.effect import FoundEffect
-from asbuilt.identification.information.equations import CauseData
+from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.stored_document import (
     AGAIN,
     FORMAT,

@@ -312,10 +312,9 @@ def logarithmic_error(costs: Callable[[float], Array], value: float, rows: Equat
     `costs` returns the costs of the blocks, (B,) or (joints, B).
     """
     step = 0.05
+    # Differences by the logarithm of the value: the error is relative.
     up, here, down = (
-        np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0)
-        for s in (1.0, 0.0, -1.0)
-        # Differences by the logarithm of the value: the error is relative.
+        np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0) for s in (1.0, 0.0, -1.0)
     )
     scores = sum_clusters((up - down) / (2.0 * step), rows)
     curvature = float(np.sum(up + down - 2.0 * here)) / step**2

@@ -6,7 +6,6 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
@@ -18,8 +17,6 @@ from asbuilt.findings import join_names
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.scaled import Scaled
 
-ErrorKind = Literal["blocks", "bootstrap", "textbook"]
-ERROR_KINDS: tuple[ErrorKind, ...] = ("blocks", "bootstrap", "textbook")
 UNSTATED = "unstated"
 """Kind of errors in results without this information."""
 TELLING_GROWTH = 1.1

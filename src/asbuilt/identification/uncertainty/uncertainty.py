@@ -30,10 +30,10 @@ from asbuilt.identification.uncertainty.block_scatter import (
     BlockScores,
     CommonGrowth,
     ErrorBasis,
-    ErrorKind,
     estimate_common_growth,
     widening,
 )
+from asbuilt.identification.uncertainty.error_kinds import ErrorKind
 
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""

@@ -21,7 +21,7 @@ from asbuilt.identification.effects.effect import (
     name_group,
 )
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
-from asbuilt.identification.information.equations import TILT, CauseData
+from asbuilt.identification.information.cause_data import TILT, CauseData
 from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.result import IdentificationResult, Identified
 from asbuilt.identification.screen import format_size

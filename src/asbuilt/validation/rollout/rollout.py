@@ -307,8 +307,8 @@ def _report_worse_than_command(rollout: Rollout, length: str) -> Iterator[Findin
             "warning",
             f"{message} ({1e3 * plain.rms_all:.3g} against {_format_size(built)})",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
-            # Worse on the whole is said once, and not recording by recording.
         )
+        # Worse on the whole is said once, and not recording by recording.
         return
     worse = [
         f"{Path(motion.source).name} ({1e3 * motion.no_physics.rms_all:.3g} against"

@@ -72,9 +72,13 @@ def list_reasons_against(
     error: VerdictError,
     measure: Measure,
     joints: Sequence[JointUse] = (),
+    *,
+    untested: bool,
 ) -> tuple[Reason, ...]:
-    """Return what speaks against the torque of a model, the weightiest first; empty if nothing."""
-    untested = is_untested(result, findings, validations)
+    """Return what speaks against the torque of a model, the weightiest first; empty if nothing.
+
+    `untested` is what `is_untested` says.
+    """
     unexplained = any(joint_use.use == "no" for joint_use in joints)
     # Errors of a recording that was used all the same.
     checks = [finding for finding in findings if finding.severity == "error"]
@@ -103,11 +107,14 @@ def list_reasons_against(
 
 
 def is_untested(
-    result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
+    result: IdentificationResult,
+    findings: Sequence[Finding],
+    validations: Sequence[Validation],
+    simulated: Rollout | None,
 ) -> bool:
-    """Return whether a model was measured on its training data alone."""
-    held_out = validations or result.validation
-    return not held_out or any(finding.code == "nothing_held_out" for finding in findings)
+    """Return whether a model was measured on its training data alone, by torque or by motion."""
+    measured = simulated is not None or validations or result.validation
+    return not measured or any(finding.code == "nothing_held_out" for finding in findings)
 
 
 def _list_load_reasons(validations: Sequence[Validation]) -> Iterator[Reason]:

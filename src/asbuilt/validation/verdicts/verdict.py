@@ -43,6 +43,8 @@ OPENING: dict[Use, str] = {
     "no": "DO NOT USE",
     "untested": "UNTESTED",
 }
+ANOTHER_MOTION = "record another motion"
+"""What an untested model needs."""
 FINE = 0.01
 """Share of the torque below which an error is shown with two decimals."""
 
@@ -121,7 +123,7 @@ def study_verdict(
     """
     # Commands are measured by the motion that follows from them.
     simulated = choose_decisive_rollout(rollouts) if result.decided_by_motion else None
-    untested = simulated is None and is_untested(result, findings, validations)
+    untested = is_untested(result, findings, validations, simulated)
     measure: Measure = "torque" if simulated is None else "rollout"
     joints: tuple[JointUse, ...] = ()
     if simulated is None:
@@ -129,7 +131,9 @@ def study_verdict(
         joints = decide_joints(result, validations, untested=untested)
     else:
         error = summarise_rollout_error(simulated)
-    reasons = list_reasons_against(result, findings, validations, simulated, error, measure, joints)
+    reasons = list_reasons_against(
+        result, findings, validations, simulated, error, measure, joints, untested=untested
+    )
     of_bodies = list_reasons_against_bodies(result)
     use = _decide_use(reasons, of_bodies, untested=untested)
     bodies = _decide_bodies(of_bodies)
@@ -173,6 +177,7 @@ def _write_verdict(
         reasons = [reason for reason in reasons if reason.code == "torque_unexplained"]
         mass = ""
     against = f"{join_names(_choose_named(reasons))}; " if reasons else ""
+    # One use for torque and bodies is said once where it is no.
     if bodies.text and use != "no":
         mass = f"; {OPENING[bodies.use]} as bodies: {bodies.text}"
     return f"{opening}: {against}{outcome}{mass}."
@@ -190,7 +195,6 @@ def _choose_named(reasons: Sequence[Reason]) -> list[str]:
     return texts
 
 
-# One use for torque and bodies is said once where it is no.
 def _word_outcome(
     result: IdentificationResult,
     simulated: Rollout | None,
@@ -200,8 +204,10 @@ def _word_outcome(
     untested: bool,
 ) -> str:
     """Return how well the model predicts a motion, or fits its own if there is no other."""
+    if untested and simulated is not None:
+        return f"simulates its log to {_word_rollout(result, simulated, error)}; {ANOTHER_MOTION}"
     if untested:
-        return f"fits its log to {_format_percent(error.decisive)}; record another motion"
+        return f"fits its log to {_format_percent(error.decisive)}; {ANOTHER_MOTION}"
     if simulated is not None:
         return f"simulates {motion} to {_word_rollout(result, simulated, error)}"
     cad = "" if error.cad is None else f" (CAD {_format_percent(error.cad)})"

@@ -17,11 +17,11 @@ from asbuilt.tables import (
     Column,
     Table,
     format_estimate,
-    format_plus_minus,
     stack_tables,
     wrap_text,
 )
 from asbuilt.validation.comparison.comparison import tabulate_paired_torques
+from asbuilt.validation.verdicts.payload_verdict import describe_payload_outcome
 from asbuilt.writers.files import path_texts
 
 _SOURCES = {
@@ -38,25 +38,6 @@ def payload_text(payload: Payload, full: bool = False) -> str:
     """Return what `asbuilt payload` prints."""
     tables = stack_tables((tabulate_payload(payload), tabulate_payload_torques(payload)), full)
     return f"{wrap_text(describe_payload_outcome(payload))}\n\n{tables}"
-
-
-def describe_payload_outcome(payload: Payload) -> str:
-    """Return the verdict: whether to use the payload, and what it is, in a sentence with errors."""
-    values = payload.values.tolist()
-    errors = payload.std_errors.tolist()
-    mass = format_plus_minus(values[0], errors[0])
-    if "mass" not in payload.determined:
-        return (
-            f"DO NOT USE: the mass of the payload at {payload.frame} is undetermined ({mass} kg)."
-        )
-    known = [k for k in (1, 2, 3) if payload.names[k] in payload.determined]
-    centre = ", ".join(f"{'xyz'[k - 1]} {format_plus_minus(values[k], errors[k])}" for k in known)
-    where = f"{centre} m" if centre else "undetermined"
-    doubts = ["nearest consistent payload"] if payload.projected else []
-    if payload.gains_in_doubt:
-        doubts.insert(0, f"gains of {join_names(payload.gains_in_doubt)} in doubt")
-    opening = f"USE WITH CARE: {join_names(doubts)}; payload" if doubts else "USE: payload"
-    return f"{opening} at {payload.frame}: {mass} kg, its centre {where}."
 
 
 def tabulate_payload(payload: Payload) -> Table:

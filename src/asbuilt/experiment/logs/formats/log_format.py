@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +15,8 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
-from asbuilt.registry import Registry
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.logs.sheet import RecordingSheet
-from dataclasses import fields as dataclass_fields
-from typing import TYPE_CHECKING
-
 from asbuilt.isolated_reading import ANY_FILE, Answer, FileKind, read_apart
+from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
     from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -50,7 +45,9 @@ class LogTable:
         Names of the columns that do not hold numbers.
     known
         Quantity and joint of columns whose format gives them, such as a ROS message; both "" of
-        columns of a floating base, which are no joint's.
+        columns of a floating base, which are no joint's. Quantities are "time" and those of
+        `QUANTITIES` in `columns/layout.py`: "position", "velocity", "acceleration", "torque",
+        "command"; others are kept as extras.
     notes
         What was assumed or left out, in sentences.
     order

@@ -208,7 +208,7 @@ FORMATS.register(
 COMMANDS = "control.csv"
 STATES = "state_motor.csv"
 NAMES = "joint_list.txt"
-QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "torque"}
+SAGE_FIELDS = {"positions": "position", "velocities": "velocity", "torques": "torque"}
 
 
 def read_sage(path: Path) -> LogTable:
@@ -225,9 +225,9 @@ def read_sage(path: Path) -> LogTable:
     names = tuple(name for line in lines if (name := line.strip()))
     if not names:
         raise RecordingError(f"{path / NAMES} names no joint", file=str(path))
-    t, states = _read_list_cells(path / STATES, tuple(QUANTITIES), len(names))
+    t, states = _read_list_cells(path / STATES, tuple(SAGE_FIELDS), len(names))
     sent, commands = _read_list_cells(path / COMMANDS, ("positions",), len(names))
-    groups = {QUANTITIES[field]: values for field, values in states.items()}
+    groups = {SAGE_FIELDS[field]: values for field, values in states.items()}
     groups["command"], notes = hold_last(t, sent, commands["positions"])
     listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
     table = tabulate_joints(str(path), t * 1e-6, listed, notes)

@@ -27,6 +27,7 @@ class _Body(Effect):
     """
 
     in_model = True
+    in_bodies = True
     units = ("kg", "kg")
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
