@@ -184,7 +184,12 @@ def imported_names(path: Path) -> list[tuple[str, str]]:
         if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] == "asbuilt":
             names += [(str(node.module), alias.name) for alias in node.names]
         elif isinstance(node, ast.Import):
-            packages |= {a.name: a.name for a in node.names if a.name.split(".")[0] == "asbuilt"}
+            imported = [a.name for a in node.names if a.name.split(".")[0] == "asbuilt"]
+            packages |= {name: name for name in imported}
+            # `import asbuilt.stage.inside` reaches as far as `from asbuilt.stage import inside`.
+            names += [
+                (home, name) for home, dot, name in (i.rpartition(".") for i in imported) if dot
+            ]
     packages |= {name: f"asbuilt.{name}" for home, name in names if home == "asbuilt"}
     for node in nodes_of(path):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from operator import attrgetter
+from pathlib import Path
+
+import pytest
+
+import asbuilt
 from asbuilt.findings import Finding, list_findings
 
 
@@ -38,3 +45,18 @@ def test_errors_come_first_and_each_by_itself() -> None:
     assert [line.split(":")[0] for line in list_findings(found)] == ["ERROR stuck"] * 2 + [
         "INFO stuck"
     ]
+
+
+CALLS = {
+    call
+    for path in Path(asbuilt.__file__).parent.rglob("*.py")
+    for call in re.findall(r'call="([\w.]+)"', path.read_text(encoding="utf-8"))
+}
+
+
+@pytest.mark.parametrize("call", sorted(CALLS))
+def test_a_cure_names_a_public_function(call: str) -> None:
+    stage, _, _ = call.rpartition(".")
+    if stage:
+        __import__(f"asbuilt.{stage}")
+    assert callable(attrgetter(call)(asbuilt))

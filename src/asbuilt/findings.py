@@ -26,7 +26,8 @@ class Cure:
         Fields of an options class (`StudyOptions`, `ReadingOptions`, ...) with the value that
         cures, such as `{"flip_torque": True}`; a caller adds the spelling of its own interface.
     call
-        Name of the public function that helps, such as `"find_gains"`; empty if none does.
+        Name of the public function that helps, in `asbuilt`, such as `"find_gains"` or
+        `"experiment.read_recordings"`; empty if none does.
     sheet
         Fields of a recording sheet that cure, such as `{"units": {"time": "ms"}}`.
     """

@@ -1,5 +1,6 @@
 from .calibration import find_gains as find_gains
 from .calibration import identify_channels as identify_channels
+from .calibration import identify_moments as identify_moments
 from .calibration import identify_payload as identify_payload
 from .controller_model import ControllerComparison as ControllerComparison
 from .controller_model import compare_controller as compare_controller

@@ -384,7 +384,7 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
     if len(groups) > 1:
         raise RecordingError(
             f"{len(paths)} files are {len(groups)} recordings, not one: {listing}",
-            cure=Cure("read them one by one, or together", call="read_recordings"),
+            cure=Cure("read them one by one, or together", call="experiment.read_recordings"),
         )
     if len(groups) == 1 and len(paths) == 1:
         return choose_log_format(paths[0]).read(paths[0], sheet)

@@ -80,7 +80,9 @@ class FilterPlan:
         if cutoff is None:
             raise UsageError(
                 "the signal chain has no cutoff",
-                cure=Cure("give one, or choose it from a recording", call="resolve_chain"),
+                cure=Cure(
+                    "give one, or choose it from a recording", call="experiment.resolve_chain"
+                ),
             )
         if chain.derivative == "savitzky-golay":
             # Half a window: its polynomial needs samples on both sides.

@@ -444,7 +444,7 @@ def _refuse_mass(robot: str, frame: str, estimate: Array, errors: Array) -> Iden
         cure=Cure(
             "ask for what a weight adds to the first moments of a link",
             settings={"moments": True},
-            call="identify_moments",
+            call="workflow.identify_moments",
         ),
     )
 

@@ -67,9 +67,9 @@ def attribute(
     data = result.cause_data
     if data is None:
         raise ResultError(
-            f"this result of {result.robot} has no cause data; `run_study` gathers them from"
+            f"this result of {result.robot} has no cause data; `identify` gathers them from"
             " recordings of at least some seconds",
-            cure=Cure("identify again from a longer recording", call="run_study"),
+            cure=Cure("identify again from a longer recording", call="identify"),
         )
     by_design = result.cad_values if cad is None else derive_cad_values(result, cad)
     bodies = _estimate_bodies(result, cad or result.model, by_design)
