@@ -316,8 +316,8 @@ class LetterRule:
         ('A', 'D', 'F')
         """
         if not error >= 0.0:
-            # The first limit that the error is below.
             raise UsageError(f"a relative torque error is 0 or more, got {error}", value=error)
+        # The first limit that the error is below.
         return next((name for name, limit in self.limits if error < limit), NO_BETTER)
 
     @property

@@ -190,10 +190,10 @@ def conclude_study(
         findings = (*with_leg_findings(findings, result, fits.samples), *of_moments)
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
-    # What was validated decides which joint's error matters, training only without it.
     findings = tuple(
         finding for finding in findings if (finding.effect, finding.joint) not in modelled
     )
+    # What was validated decides which joint's error matters, training only without it.
     shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
     return Conclusion(
         result, consolidate_findings(findings, shares), trained, validations, attribution

@@ -98,11 +98,11 @@ class TorqueFit:
     @classmethod
     def of(cls, model: RobotModel, motion: SmoothedMotion, scale: Array) -> TorqueFit:
         """Compare a smoothed motion, positions times `scale` (n,), in the order logged."""
-        # The friction of the joint that moves here, so that swapped motions take theirs along.
         # 400 samples: more do not change a decision.
         rows = motion.thinned(400)
         order = tuple(range(model.n_joints))
         q, qd, qdd = (x[rows] * scale for x in (motion.q, motion.qd, motion.qdd))
+        # The friction of the joint that moves here, so that swapped motions take theirs along.
         friction = friction_bases(qd, spring_columns(model, q))
         return cls(model, q, qd, qdd, motion.tau[rows], friction, order, order)
 

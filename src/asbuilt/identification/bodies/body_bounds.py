@@ -119,8 +119,6 @@ def bound_stated(
     if tolerance is not None:
         if not tolerance > 0.0:
             raise UsageError(f"a tolerance of CAD is positive, such as 0.2; got {tolerance:g}")
-        # The centre of mass over the mass is no linear bound: the moment against limit times mass
-        # is.
         # A link whose mass is guessed, as CAD has none, has less weight than the others.
         masses = {
             i: (max(1.0 - tolerance, 0.0) * mass, (1.0 + tolerance) * mass)

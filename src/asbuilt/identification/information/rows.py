@@ -409,7 +409,7 @@ class Rows:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
         if self._parts is None:
             # A pass over the rows keeps them if they are few.
-            deque(self, maxlen=0)  # keeps them if they are few
+            deque(self, maxlen=0)
             every = zip(*(each.rows for each in self._held or ()), strict=True)
             self._parts = [tuple(map(np.hstack, every))] if self._held else []
         return iter(self._parts or self.by_block())
@@ -430,8 +430,8 @@ class Rows:
             for rows, x in zip(block.rows, self._less, strict=False):
                 rows[-1] -= x @ rows[:-1]
             size += sum(rows.nbytes for rows in block.rows)
-            # Rows of a long recording are not kept, but made again in every pass.
-            # Past the limit nothing is kept, not even the blocks before.
+            # Past the limit nothing is kept, not even the blocks before: rows of a long recording
+            # are made again in every pass.
             kept = [*kept, block] if size <= most else []
             yield block
         self._held = kept if size <= most else None

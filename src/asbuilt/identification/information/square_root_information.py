@@ -127,7 +127,7 @@ class SquareRootInformation:
 
     @property
     def mixed(self) -> bool:
-        """Whether every row has a part of every joint's equation, as without reactions."""
+        """Whether rows have a part of every joint's equation: reactions are projected away."""
         # A single joint has every parameter without any mixing.
         whole = all(len(support) == self.base.n_base for support in self.support)
         return whole and self.n_joints > 1 and self.base.n_base > 0

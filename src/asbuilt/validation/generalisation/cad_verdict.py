@@ -126,8 +126,8 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     """
     cad = validation.measured - validation.predicted_cad
     built = validation.error
-    # A joint that CAD predicts exactly must not divide by zero.
     block = _number_blocks(validation.t)
+    # A joint that CAD predicts exactly must not divide by zero.
     tiny = np.finfo(np.float64).tiny
     scale = np.maximum(np.mean(cad**2, axis=0), tiny)
     by_cad = _average_blocks(cad**2, block)

@@ -85,6 +85,7 @@ def consolidate_findings(
     present = {
         merged_finding.code for merged_finding in merged if merged_finding.severity != "info"
     }
+    # What is explained by another warning is good to know, and no alarm.
     kept_findings = [
         replace(merged_finding, severity="info")
         if merged_finding.severity == "warning"
@@ -92,7 +93,6 @@ def consolidate_findings(
         else merged_finding
         for merged_finding in (_add_torque(each, shares) for each in merged)
     ]
-    # What is explained by another warning is good to know, and no alarm.
     return tuple(sorted(kept_findings, key=_rank_finding))
 
 
