@@ -358,16 +358,25 @@ def join_entries(entries: Sequence[Entry], most: int) -> SquareRootInformation:
 
 
 def merge_factors(factors: Array) -> Array:
-    """Return one factor (q, q) of several (m, q, q), merged pair by pair.
+    """Return one triangular factor (q, q) of several (m, r, q), merged pair by pair.
 
     The tree depends on m alone, so the result is the same to the last bit wherever it is made; an
-    entry takes part in log2(m) mergers, not in m.
+    entry takes part in log2(m) mergers, not in m. Short blocks are fewer rows than columns.
     """
+    factors = np.array([_make_triangular(factor) for factor in factors])
     while len(factors) > 1:
         pairs = factors[: len(factors) // 2 * 2].reshape(-1, 2 * factors.shape[1], factors.shape[2])
         merged = np.array([triangular_factor(pair) for pair in pairs])
         factors = np.concatenate([merged, factors[2 * len(pairs) :]])
     return np.asarray(factors[0])
+
+
+def _make_triangular(factor: Array) -> Array:
+    """Return rows (r, q), r <= q, as a triangular factor (q, q); itself if it is one."""
+    r, q = factor.shape
+    if r == q and not np.any(np.tril(factor, -1)):
+        return factor
+    return triangular_factor(np.vstack([factor, np.zeros((q - r, q))]))
 
 
 def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:
