@@ -156,10 +156,12 @@ def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
     chain = resolve_chain(SignalChain(), driven)
     model = read_mjcf(ROBOT)
     with_offset, without = (
-        estimate_servo(model, [driven], DriveSet.parse(terms), chain, delay=DELAY).servo.kp
+        estimate_servo(model, [driven], DriveSet.parse(terms), chain, delay=DELAY)
         for terms in ("armature,viscous,coulomb,offset", "armature,viscous,coulomb")
     )
-    assert with_offset == pytest.approx(without, rel=1e-6)
+    # Ratios come from a fit of all columns, and move by what a column more changes in it.
+    moved = np.abs(np.subtract(with_offset.servo.kp, without.servo.kp))
+    assert np.all(moved < 0.002 * np.array(without.errors.kp))
 
 
 def test_noise_of_positions_demands_no_low_cutoff_where_they_are_in_the_torque(recording):
