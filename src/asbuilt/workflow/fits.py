@@ -349,8 +349,8 @@ def _drop_needless_effects(
                     continue
             if not needless and source.is_measured:
                 refit = partial(fitted, prepared.training, choice, kind)
-                gain = partial(_measure_gain, validated, prepared, test, refit)
-                needless = _find_unshown(final, effects, needed, gain)
+                find_test = partial(_find_test, validated, prepared, test)
+                needless = _find_unshown(final, effects, needed, find_test, refit)
             if not needless:
                 return _Settled(final, validated, choice, effects, kind)
         effects = effects.without(needless)
@@ -381,50 +381,45 @@ def _find_unshown(
     final: Fit,
     effects: Effects,
     needed: set[tuple[str, str]],
-    measure_gain: Callable[[DriveSet], Array | None],
+    find_test: Callable[[], LeftOut | None],
+    refit: Callable[[DriveSet], Fit],
 ) -> set[tuple[str, str]]:
     """Return key and joint of an effect that nothing shows, the last one found first; else none.
 
     Shown is an effect without which what was left out is predicted worse. It is asked of those that
     are zero in some consistent bodies near the estimate, and of terms in place of simpler ones.
-    `needed` were shown before; `measure_gain` returns the gain over a fit with other drive terms by
-    time block, None where too little is left out: then a term that may be zero leaves its place to
-    the simpler one, and what has no simpler one stays, since the search is sure of it next to
-    bodies near CAD. On ten seconds of a KR300 its balancer is such an effect, and without it
-    another motion is predicted by a third worse.
+    `needed` were shown before; `refit` fits with other drive terms. `find_test` returns None where
+    too little is left out: then a term that may be zero leaves its place to the simpler one, and
+    what has no simpler one stays, since the search is sure of it next to bodies near CAD. On ten
+    seconds of a KR300 its balancer is such an effect, and without it another motion is predicted by
+    a third worse.
     """
     names = final.model.joint_names
     in_drive = [effect for effect in effects.found if effect.effect in final.base.drive.keys]
     open_ones = list(list_open(final.concluded(), in_drive)) if in_drive else []
-    for effect in reversed(in_drive):
+    asked = [
+        effect
+        for effect in reversed(in_drive)
+        if (effect.effect, str(effect.joint)) not in needed
+        and (effect in open_ones or takes_place_of_simpler(effect))
+    ]
+    test = find_test() if asked else None
+    for effect in asked:
         place = (effect.effect, str(effect.joint))
-        is_open = effect in open_ones
-        if place in needed or not (is_open or takes_place_of_simpler(effect)):
-            continue
-        gain = measure_gain(drop_terms(final.base.drive, {place}, names))
-        if gain is None:
-            unshown = is_open and takes_place_of_simpler(effect)
+        if test is None:
+            unshown = effect in open_ones and takes_place_of_simpler(effect)
         else:
-            unshown = bool(gain.mean() <= 0.0)
+            without = refit(drop_terms(final.base.drive, {place}, names))
+            unshown = bool(test.measure_gain_over(without).mean() <= 0.0)
         if unshown:
             return {place}
         needed.add(place)
     return set()
 
 
-def _measure_gain(
-    fit: Fit,
-    prepared: Prepared,
-    test: LeftOut | None,
-    refit: Callable[[DriveSet], Fit],
-    drive: DriveSet,
-) -> Array | None:
-    """Return by how much a fit with other drive terms predicts what was left out worse, (B,).
-
-    Without other motion what repeats the motion fitted has to do; None if that is too little.
-    """
-    test = test or LeftOut.of(fit, prepared, even_repeated=True)
-    return None if test is None else test.measure_gain_over(refit(drive))
+def _find_test(fit: Fit, prepared: Prepared, test: LeftOut | None) -> LeftOut | None:
+    """Return the test by other motion, else by what repeats the motion fitted, or None."""
+    return test or LeftOut.of(fit, prepared, even_repeated=True)
 
 
 def _leave_out(

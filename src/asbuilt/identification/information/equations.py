@@ -15,8 +15,31 @@ MODEL = "model"
 """Group of the columns of base parameters, which comes first."""
 
 
+class _GroupedColumns:
+    """Count the joints, time blocks and columns of what has columns in named groups."""
+
+    groups: Mapping[str, int]
+    support: tuple[Indices, ...]
+    blocks: tuple[TimeBlock, ...]
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.support)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of time blocks."""
+        return len(self.blocks)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns P of all groups."""
+        return sum(self.groups.values())
+
+
 @dataclass(frozen=True, eq=False)
-class Equations:
+class Equations(_GroupedColumns):
     """Hold the Gram matrices of the rows `[A_k | y_k]` of every joint k and time block b.
 
     The P columns of A stand in named groups of so many each, such as the model's own and those of
@@ -33,21 +56,6 @@ class Equations:
     grams: tuple[Array, ...]
     blocks: tuple[TimeBlock, ...]
     counts: Array
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return len(self.support)
-
-    @property
-    def n_blocks(self) -> int:
-        """Number of time blocks."""
-        return len(self.blocks)
-
-    @property
-    def n_columns(self) -> int:
-        """Number of columns P of all groups."""
-        return sum(self.groups.values())
 
     @property
     def lengths(self) -> Array:
@@ -111,7 +119,7 @@ class Equations:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockRows:
+class BlockRows(_GroupedColumns):
     """Hold the rows `[A_k | y_k]` of every joint k and time block b, or fewer of equal squares.
 
     Columns and groups are those of `Equations`. `rows[k]` has shape (B, m, s_k + 1), the torque
@@ -124,21 +132,6 @@ class BlockRows:
     support: tuple[Indices, ...]
     rows: tuple[Array, ...]
     blocks: tuple[TimeBlock, ...]
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return len(self.support)
-
-    @property
-    def n_blocks(self) -> int:
-        """Number of time blocks."""
-        return len(self.blocks)
-
-    @property
-    def n_columns(self) -> int:
-        """Number of columns P of all groups."""
-        return sum(self.groups.values())
 
     @property
     def n_samples(self) -> int:
