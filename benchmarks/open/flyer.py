@@ -43,16 +43,23 @@ def projections(facts: Facts, q: Array, contact: Array) -> Array:
     frames = [model.getFrameId(name) for name in facts.contacts]
     radius = facts.settings.get("radius", 0.0)
     for i, (place, closed) in enumerate(zip(q, contact, strict=True)):
-        pin.computeJointJacobians(model, data, place)
-        pin.updateFramePlacements(model, data)
-        rows = [
-            at_ground(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED), radius)
-            for frame, on in zip(frames, closed, strict=True)
-            if on > 0.0
-        ]
-        J = np.vstack(rows) if rows else np.zeros((1, model.nv))
+        J = contact_rows(model, data, place, frames, closed, radius)
         found[i] = np.eye(model.nv) - np.linalg.pinv(J) @ J
     return found
+
+
+def contact_rows(
+    model: Any, data: Any, q: Array, frames: list[int], closed: Array, radius: float
+) -> Array:
+    """Return the Jacobian rows (m, 6 + n) of the points on the ground, zeros if none."""
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    rows = [
+        at_ground(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED), radius)
+        for frame, on in zip(frames, closed, strict=True)
+        if on > 0.0
+    ]
+    return np.vstack(rows) if rows else np.zeros((1, model.nv))
 
 
 def at_ground(J: Array, radius: float) -> Array:

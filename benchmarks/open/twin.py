@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from flyer import BASE, at_ground
+from flyer import BASE, contact_rows
 from pinocchio_regressor import FROM_PINOCCHIO
 from plain import Motion, low_pass
 
@@ -100,14 +100,7 @@ class Twin:
         data, frames = model.createData(), [model.getFrameId(name) for name in feet]
         qdd, tau = np.array(log["qdd"]), np.empty((len(log["t"]), model.nv - BASE))
         for i, (q, qd, closed) in enumerate(zip(log["q"], log["qd"], log["contact"], strict=True)):
-            pin.computeJointJacobians(model, data, q)
-            pin.updateFramePlacements(model, data)
-            rows = [
-                at_ground(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED), radius)
-                for frame, on in zip(frames, closed, strict=True)
-                if on > 0.0
-            ]
-            J = np.vstack(rows) if rows else np.zeros((1, model.nv))
+            J = contact_rows(model, data, q, frames, closed, radius)
             M = pin.crba(model, data, q)[:BASE, :BASE]
             load = pin.rnea(model, data, q, qd, qdd[i])
             free = unreached(J[:, :BASE].T)

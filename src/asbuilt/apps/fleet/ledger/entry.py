@@ -372,11 +372,9 @@ def merge_factors(factors: Array) -> Array:
 
 
 def _make_triangular(factor: Array) -> Array:
-    """Return rows (r, q), r <= q, as a triangular factor (q, q); itself if it is one."""
-    r, q = factor.shape
-    if r == q and not np.any(np.tril(factor, -1)):
-        return factor
-    return triangular_factor(np.vstack([factor, np.zeros((q - r, q))]))
+    """Return the triangular factor (q, q) of rows (r, q), r <= q; themselves if they are it."""
+    is_factor = len(factor) == factor.shape[1] and not np.any(np.tril(factor, -1))
+    return factor if is_factor else triangular_factor(factor)
 
 
 def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:
