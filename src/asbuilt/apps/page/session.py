@@ -245,7 +245,7 @@ class Session:
         if stored is None or (step != "identify" and self.refusal(step) is not None):
             return None
         is_same = stored.key == self.find_key(step)
-        return stored.document if is_same and stored.written == self._mark_files(stored) else None
+        return stored.document if is_same and self._has_files(stored) else None
 
     def find_answer(self, key: str) -> dict[str, Any] | None:
         """Return the stored answer of a key, None if another one has taken its place."""
@@ -255,12 +255,19 @@ class Session:
             )
 
     def _mark_files(self, answer: Answer) -> str:
-        """Return the fingerprint of the files that an answer names; of a study, of its result."""
+        """Return the fingerprint of the files that an answer names; of a study, of those shown."""
         files = answer.document.get("files")
         if not isinstance(files, dict):
             return ""
-        main = [files["result"]] if "result" in files else [*files.values()]
-        return self._fingerprints.of_inputs(*main)
+        shown = [path for kind, path in files.items() if kind in ("result", "report")]
+        return self._fingerprints.of_inputs(*(shown or files.values()))
+
+    def _has_files(self, answer: Answer) -> bool:
+        """Return whether the files of an answer hold what it wrote.
+
+        A command that was ended after its last file has replaced them and has no answer.
+        """
+        return answer.written == self._mark_files(answer)
 
     def run(self, step: str, given: Mapping[str, Any] | None = None) -> None:
         """Make further choices, and start a step.
@@ -429,6 +436,7 @@ class Session:
             "key": None if stored is None else stored.key,
             "answered": None if stored is None else shlex.join(("asbuilt", *stored.arguments)),
             "current": self.answer(step) is not None,
+            "kept": stored is not None and self._has_files(stored),
         }
 
 

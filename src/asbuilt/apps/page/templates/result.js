@@ -4,6 +4,7 @@ import { last, page, post, readFile } from "./talk.js";
 import { drawFindings } from "./findings.js";
 
 let shown = null;
+let kept = false;
 let curves = null;
 let recording = 0;
 let joint = 0;
@@ -28,8 +29,9 @@ export function drawResult() {
   element("verdict").textContent = verdict.text;
   element("verdict").className = "verdict " + (isOld ? "" : { yes: "yes", no: "no", "with care": "care", untested: "care" }[verdict.use] || "");
   drawEffects(answer, isOld);
-  if (shown === answer) return;
+  if (shown === answer && kept === told.kept) return;
   shown = answer;
+  kept = told.kept;
   element("payload-verdict").hidden = !answer.payload;
   const carried = answer.payload ? answer.payload.headline : "";
   element("payload-verdict").textContent = carried;
@@ -38,8 +40,10 @@ export function drawResult() {
   drawJoints(answer);
   drawFindings(element("findings"), answer.findings, false);
   element("findings-title").textContent = `${answer.findings.length} findings`;
-  drawFiles(element("result-files"), answer.files, told.key);
-  drawTorque(answer, told.key);
+  // Files that another run has replaced are not this answer's.
+  const files = kept ? answer.files : {};
+  drawFiles(element("result-files"), files, told.key);
+  drawTorque(answer, files, told.key);
 }
 
 function describeFit(answer) {
@@ -118,11 +122,11 @@ function listEffects(wanted, joints) {
 
 /* ---- torque: the curves of the report ---- */
 
-function drawTorque(answer, key) {
+function drawTorque(answer, files, key) {
   curves = null;
   element("torque").hidden = true;
-  const place = fileAddress(answer.files.report || "", key);
-  if (place) readFile(place, (text) => { if (shown === answer) fillTorque(answer, text); });
+  const place = fileAddress(files.report || "", key);
+  if (place) readFile(place, (text) => { if (shown === answer && kept) fillTorque(answer, text); });
 }
 
 function fillTorque(answer, text) {
