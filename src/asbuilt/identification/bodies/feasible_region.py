@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.optimize import linprog
+from scipy.sparse import csc_array
 from scipy.special import chdtri
 
 from asbuilt.arrays import Array
@@ -161,21 +163,27 @@ class FeasibleRegion:
         """
         scales = self._scales
         n = len(value)
-        size = np.linalg.norm(self._seen, axis=1)
+        unseen = self._unseen
+        # R K d = 0 where K d is a combination of what R does not see: of many joints K has few
+        # non-zeros, and R K none that is zero.
+        regrouping = self.base.regrouping * scales
+        size = np.maximum(np.linalg.norm(regrouping, axis=1), np.linalg.norm(unseen, axis=1))
         # Unit rows, so that directions count alike whatever their size.
-        seen = self._seen / np.where(size > 0.0, size, 1.0)[:, None]
-        rows = np.vstack([seen, scales * value / np.linalg.norm(scales * value)])
-        right = np.append(np.zeros(len(seen)), 1.0)
+        size = np.where(size > 0.0, size, 1.0)[:, None]
+        own = scales * value / np.linalg.norm(scales * value)
+        rows = np.vstack([regrouping / size, own])
+        open_rows = np.vstack([unseen / size, np.zeros((1, unseen.shape[1]))])
+        right = np.append(np.zeros(len(regrouping)), 1.0)
         solution = linprog(
             # A change is the difference of two non-negative parts: their sum is its l1 norm.
-            np.ones(2 * n),
-            A_eq=np.hstack([rows, -rows]),
+            np.append(np.ones(2 * n), np.zeros(unseen.shape[1])),
+            A_eq=csc_array(np.hstack([rows, -rows, -open_rows])),
             b_eq=right,
-            bounds=(0.0, None),
+            bounds=[(0.0, None)] * (2 * n) + [(None, None)] * unseen.shape[1],
         )
         if solution.x is None:
             return (), ()
-        change = np.abs(solution.x[:n] - solution.x[n:])
+        change = np.abs(solution.x[:n] - solution.x[n : 2 * n])
         order = np.argsort(-change, kind="stable")
         named = order[change[order] > LEAST_SHARE * change.max()].tolist()
         names = self.base.standard_names
@@ -189,6 +197,14 @@ class FeasibleRegion:
         """Sizes of the standard parameters in CAD (n_standard,)."""
         bodies, _ = scale_near_one(self.prior)
         return np.asarray(np.linalg.norm(bodies, axis=1))
+
+    @cached_property
+    def _unseen(self) -> Array:
+        """Changes (p, p - r) of base parameters that R does not see, orthonormal where scaled."""
+        length = np.linalg.norm(self.root, axis=0)
+        scale = np.where(length > 0.0, length, 1.0)
+        every, _ = qr((self.root / scale).T)
+        return np.asarray(every[:, len(self.root) :] / scale[:, None])
 
     @cached_property
     def _seen(self) -> Array:
