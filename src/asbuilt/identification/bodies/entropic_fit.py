@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
@@ -297,12 +298,7 @@ class _Search:
         multipliers = self.multipliers[a]
         strength = self.weights[:, None]
         gradient, hessian, T, V = self.model(a)
-        try:
-            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]))[:, :, 0]
-        except np.linalg.LinAlgError:
-            raise IdentifiabilityError(
-                f"the entropic fit of {problem.prior.robot} has a singular Hessian", cure=SIZES
-            ) from None
+        step = -self._solve(hessian, gradient)
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
         narrowing = step @ problem.slopes.T
@@ -349,6 +345,23 @@ class _Search:
         return np.asarray(
             (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= NEWTON_CENTRAL)
         )
+
+    def _solve(self, hessians: Array, gradients: Array) -> Array:
+        """Return what takes each Hessian (m, v, v) to its gradient (m, v)."""
+        solved = np.empty_like(gradients)
+        for found, hessian, gradient in zip(solved, hessians, gradients, strict=True):
+            # Symmetric and positive definite but for rounding: half of the work of a general
+            # matrix. Transposed, so that LAPACK reads the rows as its columns and copies nothing.
+            _, x, failed = lapack.dposv(hessian.T, gradient, lower=1, overwrite_a=False)
+            if failed:
+                x, failed = lapack.dgesv(hessian.T, gradient)[2:]
+            if failed:
+                raise IdentifiabilityError(
+                    f"the entropic fit of {self.problem.prior.robot} has a singular Hessian",
+                    cure=SIZES,
+                )
+            found[:] = x
+        return solved
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:
         """Return values and Cholesky roots of the links; infinite values outside."""

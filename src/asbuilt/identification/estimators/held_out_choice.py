@@ -16,7 +16,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.identification.bodies.entropic_path import DESCENT
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import join_factors, triangular_factor
 from asbuilt.identification.statistics import exceeds
 from asbuilt.scaled import Scaled
 
@@ -90,14 +90,10 @@ def choose_weight(
 
 def _without_each(factors: Array) -> Array:
     """Return the triangular factors of all but each, (m, p + 1, p + 1)."""
-
-    def join(one: Array, other: Array) -> Array:
-        return triangular_factor(np.vstack([one, other]))
-
     # Of prefixes and suffixes each factor without one group is a single join: 3 m instead of m^2.
-    before = [*accumulate(factors[:-1], join)]
-    after = [*accumulate(factors[:0:-1], join)][::-1]
-    between = [join(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
+    before = [*accumulate(factors[:-1], join_factors)]
+    after = [*accumulate(factors[:0:-1], join_factors)][::-1]
+    between = [join_factors(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
     return np.array([after[0], *between, before[-1]])
 
 

@@ -36,6 +36,7 @@ from asbuilt.identification.information.triangular import (
     shorten_columns,
     shorten_rows,
     stack_blocks,
+    stack_factors,
 )
 
 MOST_BLOCKS = 128
@@ -220,14 +221,13 @@ class SquareRootInformation:
         known = block, w.tobytes()
         if known not in self._known:
             factors = self.joint_factors if block is None else [own[block] for own in self.factors]
-            p = self.base.n_base
-            growing = GrowingFactor(p + 1, sum(map(len, factors)))
-            for support, factor, weight in zip(self.support, factors, w, strict=True):
-                # Factors go in as columns: rows are the innermost axis.
-                growing.append(weight * factor.T, np.append(support, p))
+            parts = [
+                (support, weight * factor)
+                for support, factor, weight in zip(self.support, factors, w, strict=True)
+            ]
             if len(self._known) > 2 * MOST_BLOCKS:  # factors of every block with one set of weights
                 self._known.clear()
-            self._known[known] = growing.factor()
+            self._known[known] = stack_factors(parts, self.base.n_base)
             self._known[known].setflags(write=False)
         return self._known[known]
 
