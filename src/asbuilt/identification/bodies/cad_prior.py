@@ -13,7 +13,7 @@ from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, parameter_names, parameter_values
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import join_factors
 
 # Hold sizes and weights of a prior where CAD states none.
 
@@ -341,12 +341,12 @@ def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Arr
     """
     first = 10 * prior.n_links
     places = np.flatnonzero(base.columns >= first)
-    # Rows of the prior beside those of the data: their squares are the quadratic form.
     weight = np.sqrt(prior.drive_weight) / prior.drive_scale[base.columns[places] - first]
-    rows = np.zeros((len(places), base.n_base + 1))
-    rows[range(len(places)), places] = weight
-    rows[:, -1] = weight * prior.parameters[base.columns[places]]
-    return triangular_factor(np.vstack([factor, rows]))
+    # Rows of the prior beside those of the data: their squares are the quadratic form.
+    rows = np.zeros_like(factor)
+    rows[places, places] = weight
+    rows[places, -1] = weight * prior.parameters[base.columns[places]]
+    return join_factors(factor, rows)
 
 
 def design_values(model: RobotModel, base: BaseParameters) -> Array:

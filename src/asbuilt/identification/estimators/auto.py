@@ -58,7 +58,7 @@ from asbuilt.identification.information.random_states import (
     measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import FactorSolution, solve_factor
+from asbuilt.identification.information.triangular import solve_fast
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 
 # Thresholds of the automatic choice.
@@ -211,18 +211,18 @@ def _with_drive_prior(
     information: SquareRootInformation, free: Estimate, prior: CadPrior
 ) -> Estimate:
     """Return least squares with the prior of drive parameters, alike where they are determined."""
-    solved = _with_drive_rows(information, free.weights, prior)
-    solution = replace(free.solution, x=solved.x, inverse_root=solved.inverse_root)
+    x, root = _solve_with_drive_rows(information, free.weights, prior)
+    solution = replace(free.solution, x=x, inverse_root=root)
     return free.renewed(
         free.method, information, solution, own_information=free.information, notes=free.notes
     )
 
 
-def _with_drive_rows(
+def _solve_with_drive_rows(
     information: SquareRootInformation, weights: Array, prior: CadPrior
-) -> FactorSolution:
-    """Return the solution of least squares with the prior of drive parameters."""
-    return solve_factor(
+) -> tuple[Array, Array]:
+    """Return least squares with the prior of drive parameters (p,), and its inverse root."""
+    return solve_fast(
         with_drive_rows(information.stacked(weights), information.base, prior),
         information.n_rows,
         information.base.regrouping @ prior.parameters,
@@ -311,7 +311,10 @@ def _fit_candidates(
         free,
         0.0,
         lambda: np.array(
-            [_with_drive_rows(training, of_joints, prior).x for training in select_trainings()]
+            [
+                _solve_with_drive_rows(training, of_joints, prior)[0]
+                for training in select_trainings()
+            ]
         ),
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),

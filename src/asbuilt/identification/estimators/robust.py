@@ -152,9 +152,11 @@ def reweight(
             for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
                 # Least squares of weights rho'(r) / r about the present residuals: a Newton-like
                 # step in beta.
-                weighted = columns[:-1] * (loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2)
-                total[:, :-1] += weighted @ columns[:-1].T
-                total[:, -1] += weighted @ residuals[k][b]
+                share = np.sqrt(loss.weight(residuals[k][b] / sigma[k])) / sigma[k]
+                weighted = columns * share
+                weighted[-1] = residuals[k][b] * share
+                # A product with itself takes half of the work of another.
+                np.add(total, (weighted @ weighted.T)[:-1], out=total)
         for places, total in zip(support, sums, strict=True):
             whole[np.ix_(places, places)] += total[:, :-1]
             whole[places, -1] += total[:, -1]

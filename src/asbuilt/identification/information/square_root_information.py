@@ -31,6 +31,7 @@ from asbuilt.identification.information.rows import (
     divide_into_blocks,
 )
 from asbuilt.identification.information.triangular import (
+    FEW_COLUMNS,
     ROWS_AT_ONCE,
     GrowingFactor,
     shorten_columns,
@@ -39,6 +40,8 @@ from asbuilt.identification.information.triangular import (
     stack_factors,
 )
 
+MOST_KNOWN = 2**26
+"""Bytes of the factors that are kept for further questions with the same weights."""
 MOST_BLOCKS = 128
 """Half the number of blocks at which neighbours are merged, which bounds memory."""
 
@@ -225,16 +228,23 @@ class SquareRootInformation:
                 (support, weight * factor)
                 for support, factor, weight in zip(self.support, factors, w, strict=True)
             ]
-            if len(self._known) > 2 * MOST_BLOCKS:  # factors of every block with one set of weights
+            factor = stack_factors(parts, self.base.n_base)
+            # Factors of every block with one set of weights, or what memory has room for.
+            if len(self._known) > min(2 * MOST_BLOCKS, MOST_KNOWN // factor.nbytes):
                 self._known.clear()
-            self._known[known] = stack_factors(parts, self.base.n_base)
+            self._known[known] = factor
             self._known[known].setflags(write=False)
         return self._known[known]
 
     def rows_of_block(self, block: int, weights: Array) -> Array:
-        """Return all joints' rows of a block in all columns, (m, p + 1), k times `weights[k]`."""
+        """Return all joints' rows of a block in all columns, (m, p + 1), k times `weights[k]`.
+
+        Many joints have so many that their triangular factor comes in their place.
+        """
         p = self.base.n_base
         own = [factors[block] for factors in self.factors]
+        if FEW_COLUMNS < p < sum(map(len, own)):
+            return self.stacked(weights, block)
         rows = np.zeros((sum(map(len, own)), p + 1))
         first = 0
         for support, factor, weight in zip(self.support, own, weights, strict=True):
