@@ -462,19 +462,20 @@ class Trials:
         residual = np.zeros((n_blocks, self.rows.n_joints, longest))
         moves = np.zeros((*residual.shape, len(fit.columns)))
         every = zip(self.rows.rows, self.rows.places, weights, strict=True)
-        torque = np.flatnonzero(fit.residual)
         for k, (rows, places, weight) in enumerate(every):
             own = rows if blocks is None else rows[blocks]
-            there = torque[places[torque] >= 0]
-            residual[:, k, : own.shape[1]] = weight * (
-                own[..., places[there]] @ fit.residual[there]
-            )
-            if fit.columns.size:
-                kept = np.flatnonzero(places[fit.inside] >= 0)
-                move = own[..., places[fit.inside[kept]]] @ fit.moves[kept]
-                at = np.flatnonzero(places[fit.columns] >= 0)
-                move[..., at] -= own[..., places[fit.columns[at]]]
-                moves[:, k, : own.shape[1]] = weight * move
+            # Zeros where the joint has a column that the fit has not: to take these out would
+            # copy the rows.
+            coefficients = np.zeros((rows.shape[-1], 1 + len(fit.columns)))
+            there = np.flatnonzero(places >= 0)
+            coefficients[places[there], 0] = fit.residual[there]
+            kept = np.flatnonzero(places[fit.inside] >= 0)
+            coefficients[places[fit.inside[kept]], 1:] = fit.moves[kept]
+            at = np.flatnonzero(places[fit.columns] >= 0)
+            coefficients[places[fit.columns[at]], 1 + at] -= 1.0
+            moved = weight * (own @ coefficients)
+            residual[:, k, : own.shape[1]] = moved[..., 0]
+            moves[:, k, : own.shape[1]] = moved[..., 1:]
         return _Errors(residual, moves)
 
     def _measure_error(self, residual: Array) -> float:
