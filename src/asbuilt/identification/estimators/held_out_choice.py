@@ -310,12 +310,15 @@ def group_different_motions(
     Blocks are alike if their information per sample is, in parameters scaled to equal torque
     (Ward's linkage; Ward, J. American Statistical Association 58, 1963).
     """
-    roots = (information.rows_of_block(b, weights)[:, :-1] for b in range(information.n_blocks))
-    return group_motions(
-        np.array([root.T @ root for root in roots]),
-        np.array([block.n_samples for block in information.blocks]),
-        most,
-    )
+    known = most, weights.tobytes()
+    if known not in information.motion_groups:
+        roots = (information.rows_of_block(b, weights)[:, :-1] for b in range(information.n_blocks))
+        information.motion_groups[known] = group_motions(
+            np.array([root.T @ root for root in roots]),
+            np.array([block.n_samples for block in information.blocks]),
+            most,
+        )
+    return information.motion_groups[known]
 
 
 def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS) -> list[Indices]:

@@ -31,7 +31,6 @@ from asbuilt.identification.information.rows import (
     divide_into_blocks,
 )
 from asbuilt.identification.information.triangular import (
-    FEW_COLUMNS,
     ROWS_AT_ONCE,
     GrowingFactor,
     shorten_columns,
@@ -210,6 +209,11 @@ class SquareRootInformation:
         )
 
     @cached_property
+    def motion_groups(self) -> dict[tuple[int, bytes], list[Indices]]:
+        """Groups of blocks of like motion that were found, by their number and weights."""
+        return {}
+
+    @cached_property
     def _known(self) -> dict[tuple[int | None, bytes], Array]:
         """Factors by block and weights: many questions are asked with one set of weights."""
         return {}
@@ -237,20 +241,27 @@ class SquareRootInformation:
         return self._known[known]
 
     def rows_of_block(self, block: int, weights: Array) -> Array:
-        """Return all joints' rows of a block in all columns, (m, p + 1), k times `weights[k]`.
-
-        Many joints have so many that their triangular factor comes in their place.
-        """
+        """Return all joints' rows of a block in all columns, (m, p + 1), k times `weights[k]`."""
         p = self.base.n_base
         own = [factors[block] for factors in self.factors]
-        if FEW_COLUMNS < p < sum(map(len, own)):
-            return self.stacked(weights, block)
         rows = np.zeros((sum(map(len, own)), p + 1))
         first = 0
         for support, factor, weight in zip(self.support, own, weights, strict=True):
             rows[first : first + len(factor), np.append(support, p)] = weight * factor
             first += len(factor)
         return rows
+
+    def multiply_block(self, block: int, weights: Array, matrix: Array) -> Array:
+        """Return the rows of `rows_of_block` times a matrix (p + 1, r), (m, r)."""
+        p = self.base.n_base
+        parts = zip(self.support, self.factors, weights, strict=True)
+        # Joint by joint: of a robot with many columns a joint has few.
+        return np.concatenate(
+            [
+                weight * (own[block] @ matrix[np.append(support, p)])
+                for support, own, weight in parts
+            ]
+        )
 
     def summed(self, weights: Array) -> Array:
         """Return the inner products (p + 1, p + 1) of all rows, of joint k times `weights[k]`^2.

@@ -69,14 +69,15 @@ def stack_factors(parts: Sequence[tuple[Indices, Array]], p: int) -> Array:
             # Rows go in as columns: samples innermost.
             growing.append(rows.T, np.append(columns, p))
         return growing.factor()
-    apart: list[tuple[Indices, Array]] = []
-    for columns, rows in reversed(parts):
-        meets = [bool(np.isin(other, columns).any()) for other, _ in apart]
-        met = [part for part, near in zip(apart, meets, strict=True) if near]
-        apart = [part for part, near in zip(apart, meets, strict=True) if not near]
-        apart.append(_join_parts([(columns, rows), *met]))
+    apart: dict[int, tuple[Indices, Array]] = {}
+    # The number of the part that a column is in so far.
+    owner = np.full(p, -1)
+    for number, (columns, rows) in reversed(list(enumerate(parts))):
+        met = [apart.pop(other) for other in np.unique(owner[columns]).tolist() if other >= 0]
+        apart[number] = _join_parts([(columns, rows), *met])
+        owner[apart[number][0]] = number
     every = np.arange(p)
-    return _make_diagonal_positive(_join_parts([(every, np.zeros((0, p + 1))), *apart])[1])
+    return _make_diagonal_positive(_join_parts([(every, np.empty((0, p + 1))), *apart.values()])[1])
 
 
 def _join_parts(parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:

@@ -215,12 +215,16 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
 
     e is the weighted residual, S the inverse root.
     """
-    residual = np.append(-estimate.beta, 1.0)
+    root = estimate.solution.inverse_root
+    # The torque is no part of whitened rows, and all of the residual.
+    both = np.column_stack(
+        [np.vstack([root, np.zeros(root.shape[1])]), np.append(-estimate.beta, 1.0)]
+    )
     products = []
     for b in range(information.n_blocks):
-        rows = information.rows_of_block(b, estimate.weights)
-        whitened = rows[:, :-1] @ estimate.solution.inverse_root
-        errors = rows @ residual
+        rows = information.multiply_block(b, estimate.weights, both)
+        whitened = np.ascontiguousarray(rows[:, :-1])
+        errors = rows[:, -1]
         products.append((whitened.T @ whitened, whitened.T @ errors))
     grams, scores = map(np.array, zip(*products, strict=True))
     return grams, scores
