@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from asbuilt.description import LinkInertia
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.bodies import entropic_fit
 from asbuilt.identification.bodies.body_bounds import bound_passive_drives
 from asbuilt.identification.bodies.cad_prior import smat
 from asbuilt.identification.bodies.entropic_fit import (
@@ -60,7 +61,9 @@ def test_gradient_and_hessian_by_differences(trial, around_cad, robot):
 
         def at(step, problem=problem, factors=factors):
             search = _Search(problem, factors, 3.0, 0.1, (chi + problem.free @ step)[None])
-            return search.values[0], *(each[0] for each in search.model(slice(None)))
+            gradient, T, V = search.model(slice(None))
+            hessian = search.hessians(np.arange(1), T)
+            return search.values[0], *(each[0] for each in (gradient, hessian, T, V))
 
         gradient, hessian, T, V = at(np.zeros(problem.free.shape[1]))[1:]
         Q = smat((problem.whitening @ chi)[: problem.inertial].reshape(-1, 10))
@@ -81,7 +84,9 @@ def test_gradient_and_hessian_by_differences(trial, around_cad, robot):
             )
 
 
-def test_many_problems_side_by_side_are_solved_as_each_alone(trial):
+@pytest.mark.parametrize("at_once", [1, 2**22])
+def test_many_problems_side_by_side_are_solved_as_each_alone(trial, monkeypatch, at_once):
+    monkeypatch.setattr(entropic_fit, "HESSIANS_AT_ONCE", at_once)
     case = trial("ur10e", noise=0.05, seed=3, duration=8.0, spread=0.5)
     limits = bound_passive_drives(case.prior)
     factors = np.array([scale * factor_of(case) for scale in (0.1, 1.0, 3.0)])

@@ -32,6 +32,8 @@ BARRIER = 1e-3
 CLOSE = 1e-9
 """Squared Newton decrement at the last step but one, in squared weighted residuals or weights."""
 
+HESSIANS_AT_ONCE = 2**22
+"""Bytes of the Hessians that are made at once: they stay in the cache until they are solved."""
 
 # Hold when the steps of the fit are shortened, and when it ends.
 
@@ -251,8 +253,8 @@ class _Search:
             self.duals = self.weights[:, None, None] * (_transpose(inverse) @ inverse)
             self.multipliers = barrier / self.slack
 
-    def model(self, a: Indices | slice) -> tuple[Array, Array, Array, Array]:
-        """Return gradients, Hessians, T (m, n_links, 4, 4) and V (m, n_links, 4) of problems a.
+    def model(self, a: Indices | slice) -> tuple[Array, Array, Array]:
+        """Return gradients, T (m, n_links, 4, 4) and V (m, n_links, 4) of problems a.
 
         T takes links and duals to the same diagonal, `T Q T^T = T^-T Z T^-1 = diag(V)`.
         """
@@ -276,14 +278,19 @@ class _Search:
         )
         # Of -barrier log(slack).
         gradient -= (self.barrier / self.slack[a]) @ problem.slopes
-        # Multipliers in place of barrier / slack: the Hessian halfway to the boundary.
+        return gradient, T, V
+
+    def hessians(self, a: Indices, T: Array) -> Array:
+        """Return the Hessians (m, v, v) of problems a, with their T (m, n_links, 4, 4)."""
+        problem = self.problem
         slopes = problem.slopes[:, problem.bounded]
-        hessian = self.gram[a].copy()
+        hessian = self.gram[a]
+        # Multipliers in place of barrier / slack: the Hessian halfway to the boundary.
         hessian[:, problem.bounded[:, None], problem.bounded] += (
             slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]
         ) @ slopes
         problem.curve(hessian, _transpose(T) @ T)
-        return gradient, hessian, T, V
+        return hessian
 
     def advance(self, active: Indices, close: float) -> NDArray[np.bool_]:
         """Take one step of the active problems, and return which of them have arrived."""
@@ -297,8 +304,8 @@ class _Search:
         slack = self.slack[a]
         multipliers = self.multipliers[a]
         strength = self.weights[:, None]
-        gradient, hessian, T, V = self.model(a)
-        step = -self._solve(hessian, gradient)
+        gradient, T, V = self.model(a)
+        step = -self._solve(active, gradient, T)
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
         narrowing = step @ problem.slopes.T
@@ -346,21 +353,28 @@ class _Search:
             (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= NEWTON_CENTRAL)
         )
 
-    def _solve(self, hessians: Array, gradients: Array) -> Array:
-        """Return what takes each Hessian (m, v, v) to its gradient (m, v)."""
+    def _solve(self, a: Indices, gradients: Array, T: Array) -> Array:
+        """Return what the Hessians of problems a take to their gradients, (m, v)."""
         solved = np.empty_like(gradients)
-        for found, hessian, gradient in zip(solved, hessians, gradients, strict=True):
-            # Symmetric and positive definite but for rounding: half of the work of a general
-            # matrix. Transposed, so that LAPACK reads the rows as its columns and copies nothing.
-            _, x, failed = lapack.dposv(hessian.T, gradient, lower=1, overwrite_a=False)
-            if failed:
-                x, failed = lapack.dgesv(hessian.T, gradient)[2:]
-            if failed:
-                raise IdentifiabilityError(
-                    f"the entropic fit of {self.problem.prior.robot} has a singular Hessian",
-                    cure=SIZES,
-                )
-            found[:] = x
+        at_once = max(1, HESSIANS_AT_ONCE // max(8 * gradients.shape[1] ** 2, 1))
+        for first in range(0, len(a), at_once):
+            part = slice(first, first + at_once)
+            hessians = self.hessians(a[part], T[part])
+            for found, hessian, gradient in zip(
+                solved[part], hessians, gradients[part], strict=True
+            ):
+                # Positive definite: half of the work of a general matrix. Transposed, LAPACK finds
+                # its columns in place.
+                _, x, failed = lapack.dposv(hessian.T, gradient, lower=1)
+                if failed:
+                    # Indefinite by rounding, as far from the minimum.
+                    _, _, x, failed = lapack.dgesv(hessian.T, gradient)
+                if failed:
+                    raise IdentifiabilityError(
+                        f"the entropic fit of {self.problem.prior.robot} has a singular Hessian",
+                        cure=SIZES,
+                    )
+                found[:] = x
         return solved
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.identification.bodies.entropic_path import DESCENT
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import join_factors, triangular_factor
+from asbuilt.identification.information.triangular import join_factors, stack_factors
 from asbuilt.identification.statistics import exceeds
 from asbuilt.scaled import Scaled
 
@@ -207,7 +207,7 @@ def choose_candidate(
     )
     root = information.stacked(joint_weights)[:-1, :-1]
     # Only rows^T rows count: a triangle has the same, and p rows.
-    random_rows = triangular_factor(random_motion) / np.sqrt(len(random_motion))
+    random_rows = _reduce_motion(random_motion, information.support) / np.sqrt(len(random_motion))
     random_rows = _project_determined(random_rows, root)
     whole = root.T @ root
     roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
@@ -259,6 +259,18 @@ def choose_candidate(
         f" {float(on_random[-1]) / held_out:.2g} times as much again in random motion within the"
         " joint limits",
     )
+
+
+def _reduce_motion(rows: Array, support: Sequence[Indices]) -> Array:
+    """Return the triangular factor (p, p) of sample-major rows (m, p) of joints with this support.
+
+    Rows of a joint go into it in its own columns.
+    """
+    parts = []
+    for k, own in enumerate(support):
+        of_joint = rows[k :: len(support), own]
+        parts.append((own, np.column_stack([of_joint, np.zeros(len(of_joint))])))
+    return stack_factors(parts, rows.shape[1])[:-1, :-1]
 
 
 def _surely_better(n: int) -> float:
