@@ -234,13 +234,13 @@ def find_delays(
         further = lags
         delays, columns = fits.settle(together, np.concatenate([common, further], axis=2), m)
         moved = (delays - together)[:m]
-    std_errors, alone = (
-        np.hypot(
-            columns.solve(np.concatenate([shares, further], axis=2)).std_errors[: shares.shape[2]],
-            moved,
-        )
-        for shares in (common, each)
-    )
+
+    def evaluate_errors(shares: Array) -> Array:
+        solved = columns.solve(np.concatenate([shares, further], axis=2))
+        return np.hypot(solved.std_errors[: shares.shape[2]], moved)
+
+    std_errors = evaluate_errors(common)
+    alone = std_errors if m == count else evaluate_errors(each)
     std_errors = np.broadcast_to(std_errors, (count,))
     # Many recordings do not average away what imitates a delay: what one could say alone counts.
     certain = alone < RULES.certain
@@ -404,8 +404,8 @@ def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Arra
         if np.all(np.abs(step) < RULES.settled):
             break
     solved = columns.solve(each)
-    with_lags = columns.solve(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
-    moved = with_lags.increments[: count * n] - solved.increments
+    with_lags = columns.increments(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
+    moved = with_lags[: count * n] - solved.increments
     errors = np.hypot(solved.std_errors, moved).reshape(count, n)
     chance, spread = _test_equal_delays(wide, errors, solved.n_blocks)
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)

@@ -79,6 +79,11 @@ class DelayColumns:
     def _known(self) -> Scaled:
         return Scaled(self.grams.sum(axis=0))
 
+    @cached_property
+    def _groups(self) -> list[Indices]:
+        """Blocks in groups of like motion."""
+        return group_motions(self.grams, np.array([block.n_samples for block in self.blocks]))
+
     def increments(self, shares: Array) -> Array:
         """Return the delays (m,) [s] that lower the residual most, 0 for undetermined ones."""
         return self._solved(shares).increments(shares.shape[-1])
@@ -149,7 +154,7 @@ class DelayColumns:
             whole.T @ found.grams @ whole,
             (found.scores - found.grams @ found.solution) @ whole,
             self.blocks,
-            group_motions(self.grams, np.array([block.n_samples for block in self.blocks])),
+            self._groups,
             self.n_rows,
             self.variance,
         )
