@@ -15,7 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.description.sibling import Sibling
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.free_base.columns import (
     ACCELERATION,
     ANGULAR,

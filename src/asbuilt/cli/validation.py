@@ -194,10 +194,10 @@ def _validate_described(
     model, (logged,) = read_robot_and_recordings(
         load_described_robot(robot, **reading.of_base), reading, log
     )
-    from asbuilt.workflow.servo import has_open_servo
+    from asbuilt.workflow.driving import lacks_torque
 
     # Where a log has neither torque nor gains, simulated motion is all there is to compare.
-    with_torque = [each for each in logged if not (options.rollout and has_open_servo(each))]
+    with_torque = [each for each in logged if not (options.rollout and lacks_torque(each))]
     errors = asbuilt.validate_robot(model, with_torque, options=options) if with_torque else ()
     simulated = asbuilt.roll_out_robot(
         model, logged, options.rollout, options=options, workers=workers

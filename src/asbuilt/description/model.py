@@ -19,7 +19,13 @@ from asbuilt.description.structure.couplings import (
     separate_followers,
     with_rotors,
 )
-from asbuilt.description.structure.free_base import BaseKind, classify_base, count_base_joints
+from asbuilt.description.structure.free_base import (
+    BaseKind,
+    classify_base,
+    count_base_joints,
+    refuse_free_base,
+    refuse_ground,
+)
 from asbuilt.description.structure.joint_map import JointMap, OneToOne, TreeMotion
 from asbuilt.description.structure.locking import (
     derive_locked_positions,
@@ -280,6 +286,14 @@ class RobotModel:
         Then no joint has a delay or causes of its own.
         """
         return self.n_floating > 0
+
+    def require_root(self, reason: str) -> None:
+        """Raise `UsageError` with a reason if the base can move."""
+        refuse_free_base(self.name, self.n_floating, reason)
+
+    def require_no_reactions(self) -> None:
+        """Raise `UsageError` if forces may act at which trajectories jump."""
+        refuse_ground(self.name, self.contacts)
 
     @cached_property
     def standing(self) -> RobotModel:

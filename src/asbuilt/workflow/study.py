@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, restore_dataclass
-from asbuilt.description import RobotModel, load_robot
-from asbuilt.description.structure.free_base import refuse_ground
+from asbuilt.description import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import ResultError, UsageError
@@ -21,9 +20,7 @@ from asbuilt.experiment import (
     ReadingOptions,
     Recording,
     RecordingCheck,
-    Samples,
     SignalChain,
-    head_of,
 )
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
@@ -49,6 +46,7 @@ from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict_error import VerdictError, choose_decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
+from asbuilt.workflow.driving import settle_torque
 from asbuilt.workflow.fits import fit_study
 from asbuilt.workflow.prepare import (
     Prepared,
@@ -308,13 +306,9 @@ def identify(
     reading = ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
-        robot = load_robot(
-            robot,
-            fixed_base=reading.fixed_base,
-            base="free" if reading.free_base else "fixed",
-            contacts=reading.contacts or "",
-        )
-    refuse_ground(robot.name, robot.contacts, wanted.refine)
+        robot = reading.load_robot(robot)
+    if wanted.refine:
+        robot.require_no_reactions()
     if wanted.rollout:
         # A missing simulator is said before hours of work.
         import_mujoco("a rollout")
@@ -365,29 +359,6 @@ def identify(
         return study
     report("roll out", 0.0)
     return _roll_out(study, parts.held_out, horizons, workers)
-
-
-def settle_torque(
-    model: RobotModel,
-    recordings: Sequence[Recorded],
-    validation: Sequence[Recorded],
-    options: StudyOptions,
-    filters: MotionFilters | None = None,
-) -> tuple[list[Recorded], list[Recorded], MeasuredTorque, StudyOptions]:
-    """Return recordings with their torque, where it comes from, and the options.
-
-    Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
-    some serve others too. Raises `UsageError` where recordings have torques of different kinds.
-    """
-    if not any(map(_has_command, (*recordings, *validation))):
-        return [*recordings], [*validation], MeasuredTorque(), options
-    from asbuilt.workflow.servo import settle_servo  # noqa: PLC0415 - light start
-
-    return settle_servo(model, recordings, validation, options, filters)
-
-
-def _has_command(item: Recorded) -> bool:
-    return not isinstance(item, Samples) and head_of(item).drive_law is not None
 
 
 def _prepare_recordings(

@@ -1,4 +1,4 @@
-"""What the torque of recordings is: measured, or what the law of a servo makes of commands."""
+"""What the torque of recordings is: measured, or what something else makes of commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from asbuilt.identification.identify import Fit
 from asbuilt.workflow.prepare import Prepared
 
 if TYPE_CHECKING:
-    from asbuilt.identification.servo.servo_estimate import ServoEstimate
+    from asbuilt.dynamics import PositionServo
+    from asbuilt.identification.trajectories.refined_fit import RefinedFit
+    from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates
     from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 
@@ -23,15 +25,25 @@ class MeasuredTorque:
     A study asks its source of torques by these methods; another source overrides them.
     """
 
-    servo: ServoEstimate | None = None
-    """What gave the torques, where it was identified too."""
-    expected: ExpectedScores | None = None
-    """Scores that its noise lends the parameters."""
+    @property
+    def expected(self) -> ExpectedScores | None:
+        """Scores that its noise lends the parameters."""
+        return None
+
+    @property
+    def law(self) -> PositionServo | None:
+        """What makes torques of commands, and moves a simulated robot with them."""
+        return None
+
+    @property
+    def free(self) -> ServoCoordinates | None:
+        """What of the law is unknown, so that trajectories are fitted to it."""
+        return None
 
     @property
     def is_measured(self) -> bool:
         """Whether delays, effects and errors of single recordings are those of a sensor."""
-        return self.servo is None
+        return True
 
     @property
     def of_result(self) -> dict[str, Any]:
@@ -46,8 +58,8 @@ class MeasuredTorque:
         """Return samples with its delay, where it has one, by name and digest of recordings."""
         return prepared
 
-    def with_servo(self, servo: ServoEstimate) -> MeasuredTorque:
-        """Return it with another estimate of what gave the torques."""
+    def refined(self, refined: RefinedFit) -> MeasuredTorque:
+        """Return it as trajectories show it."""
         return self
 
     def with_errors(self, fit: Fit) -> Fit:

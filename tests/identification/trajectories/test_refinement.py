@@ -11,7 +11,7 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from asbuilt.arrays import Array
 from asbuilt.dynamics import DriveSet, parameter_values
 from asbuilt.experiment import SignalChain, prepare_samples
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.trajectories.objective import Quadratic, Weights
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
@@ -94,7 +94,7 @@ def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Wi
             fit,
             [windows],
             high,
-            of_servo=ServoCoordinates(stiffness=True, delay=True, spread=spread),
+            free=ServoCoordinates(stiffness=True, delay=True, spread=spread),
         ).servo
         for spread in (1.0, 1e-3)
     }
@@ -122,7 +122,7 @@ def test_a_lead_is_told_from_times_that_are_skewed(lead: float, late: float, ske
         fit,
         [cut_windows(recording, whole, 0.5)],
         begun,
-        of_servo=ServoCoordinates(delay=True, lead=True),
+        free=ServoCoordinates(delay=True, lead=True),
     )
     assert found.servo is not None
     assert found.servo.delay == pytest.approx(late - skew, abs=1.5e-3)

@@ -185,12 +185,12 @@ def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
         )
 
 
-def refuse_ground(robot: str, contacts: Sequence[object], refine: object) -> None:
+def refuse_ground(robot: str, contacts: Sequence[object]) -> None:
     """Raise `UsageError` where a robot with contacts shall be refined by trajectories.
 
     A refinement follows how trajectories depend on parameters, which jumps where feet strike.
     """
-    if refine and contacts:
+    if contacts:
         raise UsageError(
             f"{robot} touches the ground, and a refinement by trajectories simulates none, since"
             " how they depend on the parameters jumps where feet strike",

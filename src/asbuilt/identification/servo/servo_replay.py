@@ -21,7 +21,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, SignalChain
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.identification.information.equations import Equations

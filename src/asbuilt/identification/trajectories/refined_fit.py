@@ -81,7 +81,7 @@ def refine_fit(
     windows: Sequence[Windows],
     servo: PositionServo | None,
     *,
-    of_servo: ServoCoordinates | None = None,
+    free: ServoCoordinates | None = None,
     belief: float = FIT_BELIEF,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
@@ -96,7 +96,7 @@ def refine_fit(
         What to simulate, from the samples of the fit.
     servo
         The servo if a command drives the simulation, with all gains known or estimated.
-    of_servo
+    free
         What is fitted of it; None: its delay. A lead takes the place of a delay below zero unless
         the trajectories contradict: the log may count positions from a later time.
     belief
@@ -118,7 +118,7 @@ def refine_fit(
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
         chi[links] = prior.parameters[links]
-    wanted = of_servo or ServoCoordinates(delay=True)
+    wanted = free or ServoCoordinates(delay=True)
     windows = thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)

@@ -9,8 +9,10 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, PositionServo, described_drive
+from asbuilt.experiment import Recording
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.trajectories.windows import DriveSignal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +95,19 @@ class SimulatedRobot:
     def with_servo(self, servo: PositionServo | None) -> SimulatedRobot:
         """Return the robot with another servo."""
         return replace(self, servo=servo)
+
+    def driven_by(self, signal: DriveSignal) -> SimulatedRobot:
+        """Return the robot as a signal drives it: its servo acts only where that is a command."""
+        # A torque drives the robot directly: its servo would add to it.
+        return self if signal.kind == "command" else self.with_servo(None)
+
+
+def choose_law(recording: Recording, result: IdentificationResult | None) -> PositionServo | None:
+    """Return the law of the drives under commands: as identified, else as stated for a recording.
+
+    None where torques were measured.
+    """
+    return recording.servo if result is None or result.servo is None else result.servo
 
 
 def build_robot_as_built(

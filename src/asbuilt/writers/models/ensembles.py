@@ -20,10 +20,10 @@ from asbuilt.tables import Column, Shown, Table, round_significant
 from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     keep_described_drives,
-    with_servo,
     with_standard_parameters,
 )
-from asbuilt.writers.models.export import find_urdf_to_edit, note_held_base, note_missing_servo
+from asbuilt.writers.models.control import note_missing_gains, with_gains
+from asbuilt.writers.models.export import find_urdf_to_edit, note_held_base
 from asbuilt.writers.models.mjcf import note_mjcf_limits, write_mjcf
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.models.urdf_edit import note_urdf_limits
@@ -106,7 +106,7 @@ def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
         result.model, result.base.drive, ensemble.parameters[draw].copy()
     )
     # What was not drawn is as described.
-    kept, _ = keep_described_drives(with_servo(robot, servo), result.model)
+    kept, _ = keep_described_drives(with_gains(robot, servo), result.model)
     late = "" if servo is None else f"; delay of the servo {servo.delay!r} s"
     note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters{late}"
     return replace(kept, notes=(*result.model.notes, note))
@@ -239,7 +239,7 @@ def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     return (
         *([f"numbers are from draw 0: {'; '.join(notes)}"] if notes else []),
         *kept,
-        *note_missing_servo(ensemble.result, models),
+        *note_missing_gains(ensemble.result, models),
         *(note_held_base(ensemble.result.model) if models == "mjcf" else ()),
     )
 
