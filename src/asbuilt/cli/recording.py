@@ -73,7 +73,7 @@ def check(
     and excitation. A recording sheet that makes a log readable, or better, is printed, complete.
     """
     require_distinct_logs(log)
-    described = load_described_robot(robot, **reading.of_base)
+    described = load_described_robot(robot, reading.base)
     proposals: dict[Path, experiment.SheetProposal] = {}
     written: dict[str, Path] = {}
     if write_sheet:

@@ -192,7 +192,7 @@ def _validate_described(
             " the table, and a page of its rollouts (--rollout)"
         )
     model, (logged,) = read_robot_and_recordings(
-        load_described_robot(robot, **reading.of_base), reading, log
+        load_described_robot(robot, reading.base), reading, log
     )
     from asbuilt.workflow.driving import lacks_torque
 
@@ -424,7 +424,7 @@ def review(
     supported, contradicted or undetermined, and what each is an alias of.
     """
     require_distinct_logs(log)
-    model = load_described_robot(robot, **reading.of_base)
+    model = load_described_robot(robot, reading.base)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     with show_progress() as report:

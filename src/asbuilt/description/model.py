@@ -20,7 +20,6 @@ from asbuilt.description.structure.couplings import (
     with_rotors,
 )
 from asbuilt.description.structure.free_base import (
-    BaseKind,
     classify_base,
     count_base_joints,
     refuse_free_base,
@@ -38,6 +37,7 @@ from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
     USUAL_GRAVITY,
+    BaseKind,
     Contact,
     DriveValues,
     Frame,
@@ -435,6 +435,13 @@ class RobotModel:
             f"{purpose} needs a robot whose joints move by constant shares of the motors;"
             f" {self.name} has closed chains ({names})",
             loops=[str(loop) for loop in self.loops],
+        )
+
+    @property
+    def joined_points(self) -> tuple[tuple[int, Array], ...]:
+        """Links and points (3,) in their axes at which loops hold them together, two a loop."""
+        return tuple(
+            self.place_of(*end) for loop in self.loops if loop.kind != "joint" for end in loop.ends
         )
 
     def place_of(self, name: str, point: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[int, Array]:

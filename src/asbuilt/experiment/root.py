@@ -11,7 +11,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Finding
 
 if TYPE_CHECKING:
-    from asbuilt.experiment.free_base.floating_root import FloatingRoot
+    from asbuilt.experiment.free_base.base_checks import FloatingRoot
     from asbuilt.experiment.logs.formats.log_format import LogTable
     from asbuilt.experiment.logs.sheet import RecordingSheet
 
@@ -62,7 +62,7 @@ def root_of(model: RobotModel) -> FixedRoot | FloatingRoot:
     """Return what the root of a robot is."""
     if not model.mixes_joints:
         return FixedRoot()
-    from asbuilt.experiment.free_base.floating_root import (  # noqa: PLC0415 - light start
+    from asbuilt.experiment.free_base.base_checks import (  # noqa: PLC0415 - light start
         FloatingRoot,
     )
 

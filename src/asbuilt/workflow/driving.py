@@ -1,48 +1,22 @@
-"""Recordings with the torque that drove them: as measured, or as a servo makes it of commands.
-
-The room of servos, `workflow/servo`, is entered here, and only if some torque follows a command.
-"""
+"""Recordings with the torque that drove them: as measured, or as a servo makes it of commands."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo, read_described_servo
 from asbuilt.errors import UsageError
-from asbuilt.experiment import Recorded, Samples, head_of
+from asbuilt.experiment import Recorded, RecordingStream, Samples, head_of
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.findings import Cure
 from asbuilt.identification import IdentificationResult
 from asbuilt.validation import Validation
-from asbuilt.workflow.study_options import StudyOptions
-from asbuilt.workflow.torque_source import MeasuredTorque
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.prepared_motion import MotionFilters
-
-
-def settle_torque(
-    model: RobotModel,
-    recordings: Sequence[Recorded],
-    validation: Sequence[Recorded],
-    options: StudyOptions,
-    filters: MotionFilters | None = None,
-) -> tuple[list[Recorded], list[Recorded], MeasuredTorque, StudyOptions]:
-    """Return recordings with their torque, where it comes from, and the options.
-
-    Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
-    some serve others too. Raises `UsageError` where recordings have torques of different kinds.
-    """
-    if not any(map(_has_command, (*recordings, *validation))):
-        return [*recordings], [*validation], MeasuredTorque(), options
-    from asbuilt.workflow.servo import settle_servo  # noqa: PLC0415 - light start
-
-    return settle_servo(model, recordings, validation, options, filters)
-
-
-def _has_command(item: Recorded) -> bool:
-    return not isinstance(item, Samples) and head_of(item).drive_law is not None
 
 
 def lacks_torque(item: Recorded) -> bool:
@@ -63,23 +37,45 @@ def require_torque(item: Recorded) -> None:
 
 def drive_as_built(result: IdentificationResult, item: Recorded) -> Recorded:
     """Return a recording whose torque follows its command as a result has it."""
-    if result.servo is None:
-        return item
-    from asbuilt.workflow.servo import with_servo  # noqa: PLC0415 - light start
-
     return with_servo(item, result.servo)
 
 
+def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
+    """Return a recording with the torque of a servo that follows its command, if it has one.
+
+    A limit of the goal that is stated for the recording holds there.
+    """
+    if servo is None or isinstance(item, Samples):
+        return item
+    stated = head_of(item).servo
+    if stated is not None:
+        stated_limit = np.array(stated.goal_acceleration)
+        # A limit that is stated for a recording holds in it.
+        kept = np.where(np.isnan(stated_limit), servo.goal_acceleration, stated_limit)
+        servo = replace(servo, goal_acceleration=tuple(kept.tolist()), goal_speed=stated.goal_speed)
+    if isinstance(item, RecordingStream):
+        return replace(item, change=partial(drive_by_command, servo=servo))
+    return drive_by_command(item, servo) if item.command is not None else item
+
+
 def drive_as_described(model: RobotModel, item: Recorded) -> Recorded:
-    """Return a recording with gains of the description where it states none.
+    """Return a recording whose servo has the gains of the description where it states none.
 
     Raises `UsageError` if neither states them, for a robot as described then has no torque.
     """
-    if not lacks_torque(item):
+    if isinstance(item, Samples) or not lacks_torque(item):
         return item
-    from asbuilt.workflow.servo import with_described_servo  # noqa: PLC0415 - light start
-
-    return with_described_servo(model, item)
+    stated = head_of(item).servo
+    described = read_described_servo(model)
+    servo = stated.completed(described) if stated and described else stated
+    if servo is None or not servo.known:
+        raise UsageError(
+            f"{head_of(item).source}: the stiffness or damping of a servo is stated neither for"
+            f" the recording nor by {model.name}, and without both a robot as described has no"
+            " torque",
+            cure=Cure("state both, or identify them", {"kp": "LIST", "kd": "LIST"}),
+        )
+    return with_servo(item, servo)
 
 
 def find_asked_torques(
@@ -91,7 +87,14 @@ def find_asked_torques(
     """
     if result.servo is None:
         return None, ()
-    from asbuilt.workflow.servo import find_asked_peaks  # noqa: PLC0415 - light start
+    limited = np.any(np.isfinite(result.servo.torque_limit))
+    return _find_peaks(recordings, result.servo), () if limited else training
 
-    limited = any(limit < float("inf") for limit in result.servo.torque_limit)
-    return find_asked_peaks(recordings, result.servo), () if limited else training
+
+def _find_peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
+    """Return the largest torque (n,) that the servo of each joint was asked for."""
+    # Without its limits, so that what was asked for shows.
+    free = replace(servo, torque_limit=())
+    heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
+    asked = [drive_by_command(head, free).tau for head in heads if head.command is not None]
+    return np.asarray(np.max([np.abs(tau).max(axis=0) for tau in asked], axis=0))

@@ -15,18 +15,17 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, read_described_servo
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import (
     Recorded,
-    RecordingStream,
     Samples,
     SignalChain,
     head_of,
     resolve_chain,
 )
-from asbuilt.experiment.command.torque import drive_by_command, drop_slow_rows
+from asbuilt.experiment.command.torque import drop_slow_rows
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.identify import Fit
@@ -45,6 +44,7 @@ from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.workflow.driving import with_servo
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
 from asbuilt.workflow.torque_source import MeasuredTorque
@@ -357,53 +357,6 @@ def _estimate_stiffness_spread(servo: ServoEstimate) -> float:
     # The best known stiffness, as one factor is common to all.
     known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
     return float(np.min(known, initial=STIFFNESS_SPREAD))
-
-
-def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
-    """Return a recording with the torque of a servo that follows its command, if it has one.
-
-    A limit of the goal that is stated for the recording holds there.
-    """
-    if servo is None or isinstance(item, Samples):
-        return item
-    stated = head_of(item).servo
-    if stated is not None:
-        stated_limit = np.array(stated.goal_acceleration)
-        # A limit that is stated for a recording holds in it.
-        kept = np.where(np.isnan(stated_limit), servo.goal_acceleration, stated_limit)
-        servo = replace(servo, goal_acceleration=tuple(kept.tolist()), goal_speed=stated.goal_speed)
-    if isinstance(item, RecordingStream):
-        return replace(item, change=partial(drive_by_command, servo=servo))
-    return drive_by_command(item, servo) if item.command is not None else item
-
-
-def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
-    """Return a recording whose servo has the gains of the description where it states none.
-
-    Raises `UsageError` if neither states them, for a robot as described then has no torque.
-    """
-    if isinstance(item, Samples):
-        return item
-    stated = head_of(item).servo
-    described = read_described_servo(model)
-    servo = stated.completed(described) if stated and described else stated
-    if servo is None or not servo.known:
-        raise UsageError(
-            f"{head_of(item).source}: the stiffness or damping of a servo is stated neither for"
-            f" the recording nor by {model.name}, and without both a robot as described has no"
-            " torque",
-            cure=Cure("state both, or identify them", {"kp": "LIST", "kd": "LIST"}),
-        )
-    return with_servo(item, servo)
-
-
-def find_asked_peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
-    """Return the largest torque (n,) that the servo of each joint was asked for."""
-    # Without its limits, so that what was asked for shows.
-    free = replace(servo, torque_limit=())
-    heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
-    asked = [drive_by_command(head, free).tau for head in heads if head.command is not None]
-    return np.asarray(np.max([np.abs(tau).max(axis=0) for tau in asked], axis=0))
 
 
 def _measure_recording_excess(fit: Fit, late: DelayErrors | None) -> Array | None:

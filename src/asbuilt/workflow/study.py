@@ -20,7 +20,9 @@ from asbuilt.experiment import (
     ReadingOptions,
     Recording,
     RecordingCheck,
+    Samples,
     SignalChain,
+    head_of,
 )
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
@@ -46,7 +48,6 @@ from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict_error import VerdictError, choose_decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.driving import settle_torque
 from asbuilt.workflow.fits import fit_study
 from asbuilt.workflow.prepare import (
     Prepared,
@@ -306,7 +307,7 @@ def identify(
     reading = ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
-        robot = reading.load_robot(robot)
+        robot = reading.base.load_robot(robot)
     if wanted.refine:
         robot.require_no_reactions()
     if wanted.rollout:
@@ -359,6 +360,29 @@ def identify(
         return study
     report("roll out", 0.0)
     return _roll_out(study, parts.held_out, horizons, workers)
+
+
+def settle_torque(
+    model: RobotModel,
+    recordings: Sequence[Recorded],
+    validation: Sequence[Recorded],
+    options: StudyOptions,
+    filters: MotionFilters | None = None,
+) -> tuple[list[Recorded], list[Recorded], MeasuredTorque, StudyOptions]:
+    """Return recordings with their torque, where it comes from, and the options.
+
+    Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
+    some serve others too. Raises `UsageError` where recordings have torques of different kinds.
+    """
+    if not any(map(_has_command, (*recordings, *validation))):
+        return [*recordings], [*validation], MeasuredTorque(), options
+    from asbuilt.workflow.servo import settle_servo  # noqa: PLC0415 - light start
+
+    return settle_servo(model, recordings, validation, options, filters)
+
+
+def _has_command(item: Recorded) -> bool:
+    return not isinstance(item, Samples) and head_of(item).drive_law is not None
 
 
 def _prepare_recordings(

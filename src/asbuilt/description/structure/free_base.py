@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.structure.parts import Joint, Link
+from asbuilt.description.structure.parts import BaseKind, Joint, Link
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-
-BaseKind = Literal["fixed", "free", "planar"]
 
 AXES = {
     "base_x": ("prismatic", "1 0 0"),

@@ -22,7 +22,10 @@ from asbuilt.experiment.free_base.feet import (
     select_force_columns,
     with_measured_forces,
 )
-from asbuilt.experiment.free_base.sensor_checks import normalise_quaternions
+from asbuilt.experiment.free_base.inertial_sensor import (
+    normalise_quaternions,
+    with_inertial_base,
+)
 from asbuilt.experiment.logs.columns.layout import find_column
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -176,10 +179,6 @@ def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = 
             file=recording.source,
         )
     if any(name.startswith("imu_") for name in recording.extra):
-        from asbuilt.experiment.free_base.inertial_sensor import (  # noqa: PLC0415 - light start
-            with_inertial_base,
-        )
-
         recording = with_inertial_base(recording, model, sensor)
     contact = _find_closed_contacts(recording, model) if model.contacts else None
     q, notes = _read_pose(recording, model)

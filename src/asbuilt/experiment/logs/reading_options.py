@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import USUAL_GRAVITY, RobotModel
+from asbuilt.description.load import BaseOptions
+from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
@@ -23,7 +22,7 @@ from asbuilt.ranges import Range, check_ranges, make_range_error
 from asbuilt.registry import divide_settings
 
 PathLike = str | Path
-OF_BASE = ("fixed_base", "free_base", "contacts")
+OF_BASE = tuple(entry.name for entry in fields(BaseOptions))
 """Options that concern the base of the robot."""
 
 
@@ -286,18 +285,9 @@ class ReadingOptions:
         return sheet.model_copy(update={"windows": windows})
 
     @property
-    def of_base(self) -> dict[str, Any]:
-        """The options that concern the base of the robot, by name."""
-        return {name: getattr(self, name) for name in OF_BASE}
-
-    def load_robot(self, name_or_path: str | os.PathLike[str]) -> RobotModel:
-        """Return the robot that a name or a path describes, with the base that logs are of."""
-        return load_robot(
-            name_or_path,
-            fixed_base=self.fixed_base,
-            base="free" if self.free_base else "fixed",
-            contacts=self.contacts or "",
-        )
+    def base(self) -> BaseOptions:
+        """The options that concern the base of the robot."""
+        return BaseOptions(**{name: getattr(self, name) for name in OF_BASE})
 
     def __post_init__(self) -> None:
         if self.torque_source not in (None, *TORQUE_SOURCES):

@@ -19,7 +19,6 @@ from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, take_first_samples
 from asbuilt.experiment.logs.reading_options import merge_reading_options
 from asbuilt.experiment.logs.recordings import RecordingLike, read_fitted_recordings
-from asbuilt.experiment.quality.clock_checks import check_clock
 from asbuilt.experiment.quality.command_checks import EXPLAINED, check_commands
 from asbuilt.experiment.quality.motion_checks import (
     check_excitation,
@@ -36,14 +35,15 @@ from asbuilt.experiment.quality.passes import (
 from asbuilt.experiment.quality.position_checks import (
     MEASURED,
     PositionNoise,
-    check_closure,
-    check_couplings,
     check_encoders,
+    check_followers,
     check_positions,
+    check_structure,
 )
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.signal_checks import (
     check_channels,
+    check_clock,
     check_noise_floor,
     check_saturation,
     check_signs,
@@ -258,11 +258,11 @@ def check_recording(
             model, blank_incredible(take_first_samples(recording, MEASURED))
         )
         beginning = beginning.with_torque_of(known.first.has_torque)
-        of_loops = list(check_closure(model, beginning))
+        of_structure = list(check_structure(model, beginning))
         of_commands = list(check_commands(model, beginning))
-        # Loops that stay open contradict positions and torques at once: one cause, one finding.
-        findings += [*of_loops, *of_commands]
-        follows = not any(f.severity == "error" for f in of_loops)
+        # Positions that no posture has contradict torques too: one cause, one finding.
+        findings += [*of_structure, *of_commands]
+        follows = not any(f.severity == "error" for f in of_structure)
         if follows:
             of_torques = [
                 *_check_in_time(model, chunks, known),
@@ -273,7 +273,7 @@ def check_recording(
         noise = PositionNoise.of(beginning)
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
-        findings += check_couplings(model, beginning) if follows else ()
+        findings += check_followers(model, beginning) if follows else ()
     findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
     reported = {(finding.code, finding.link) for finding in findings}
     findings += (f for f in _report_description(model) if (f.code, f.link) not in reported)

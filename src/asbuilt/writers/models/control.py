@@ -31,6 +31,11 @@ def with_gains(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
     return replace(robot, joints=joints)
 
 
+def describe_delay(servo: PositionServo | None) -> str:
+    """Return the delay of a servo, for the end of a note."""
+    return "" if servo is None else f"; delay of the servo {servo.delay!r} s"
+
+
 def delay_of(result: IdentificationResult) -> float:
     """Return the delay of the servo [s], zero where it is below: no simulator has commands early.
 
