@@ -21,15 +21,13 @@ from asbuilt.experiment.logs.recordings import (
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
     build_robot_as_built,
     build_robot_as_described,
+    choose_driving_signal,
     choose_law,
 )
-from asbuilt.identification.trajectories.windows import (
-    DriveSignal,
-    choose_driving_signal,
-    cut_windows,
-)
+from asbuilt.identification.trajectories.windows import cut_windows
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.driving import drive_as_built, drive_as_described
 from asbuilt.workflow.prepare import find_unseeing

@@ -17,8 +17,11 @@ from asbuilt.identification.servo.servo_replay import (
     replay,
     replay_recording,
 )
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    build_robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import Windows
 
 pytest.importorskip("mujoco")
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows

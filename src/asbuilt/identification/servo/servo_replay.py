@@ -32,8 +32,8 @@ from asbuilt.identification.servo.servo_rows import (
     sum_clusters,
 )
 from asbuilt.identification.trajectories.sensitivity import Trajectories
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import DriveSignal, SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 # Settings of a replay: own choices.

@@ -13,6 +13,11 @@ from asbuilt.dynamics import PositionServo
 from asbuilt.identification import IdentificationResult
 
 
+def with_identified_gains(robot: RobotModel, result: IdentificationResult) -> RobotModel:
+    """Return the robot with the gains and torque limits of a result, if it has some."""
+    return with_gains(robot, result.servo)
+
+
 def with_gains(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
     """Return the robot with the gains and torque limits of a servo, if there is one."""
     if servo is None:
