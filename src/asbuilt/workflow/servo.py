@@ -203,17 +203,17 @@ class CommandedTorque(MeasuredTorque):
 
     def refined(self, refined: RefinedFit) -> CommandedTorque:
         """Return it with refined gains and delay, and their errors."""
-        if refined.servo is None:
+        if refined.law.servo is None:
             return self
         errors = self.servo.errors
-        if np.isfinite(refined.delay_error):
-            errors = replace(errors, delay=refined.delay_error)
-        if np.isfinite(refined.lead_error):
-            errors = replace(errors, lead=refined.lead_error)
-        if np.isfinite(refined.stiffness_error):
-            gains = tuple(refined.stiffness_error * kp for kp in refined.servo.kp)
+        if np.isfinite(refined.law.delay_error):
+            errors = replace(errors, delay=refined.law.delay_error)
+        if np.isfinite(refined.law.lead_error):
+            errors = replace(errors, lead=refined.law.lead_error)
+        if np.isfinite(refined.law.stiffness_error):
+            gains = tuple(refined.law.stiffness_error * kp for kp in refined.law.servo.kp)
             errors = replace(errors, kp=gains)
-        return CommandedTorque(replace(self.servo, servo=refined.servo, errors=errors))
+        return CommandedTorque(replace(self.servo, servo=refined.law.servo, errors=errors))
 
     def with_errors(self, fit: Fit) -> Fit:
         """Return a fit whose errors include the servo's delay and what was taken away.

@@ -1,8 +1,8 @@
-"""The robot that a simulation moves, what drives it, and what a refinement fits of its servo."""
+"""The robot that a simulation moves, what drives it, and what is fitted of its law."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -326,3 +326,79 @@ class ServoCoordinates:
             "lead": not np.any(servo.leads > 0.0),
         }
         return np.array([low[name] for name in self.names], dtype=np.bool_) & (gradient > 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FittedLaw:
+    """Hold a servo at a point of a search, with its coordinates; without one there are none.
+
+    Parameters
+    ----------
+    servo
+        The servo; None where torques drive the robot.
+    free
+        What is fitted of it.
+    """
+
+    servo: PositionServo | None = None
+    free: ServoCoordinates = field(default_factory=ServoCoordinates)
+
+    @classmethod
+    def of(cls, servo: PositionServo | None, free: ServoCoordinates | None) -> FittedLaw:
+        """Return the law with what is free of a servo, but its lead; None: its delay."""
+        if servo is None:
+            return cls()
+        return cls(
+            servo, ServoCoordinates(delay=True) if free is None else replace(free, lead=False)
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self.free.names
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.free.size
+
+    @property
+    def weights(self) -> Array:
+        """Weights of the squared coordinates from the start (size,)."""
+        return self.free.weights
+
+    @property
+    def columns(self) -> Array:
+        """How kp and kd of each joint, delay and lead follow, (2 n + 2, size)."""
+        return np.empty((1, 0)) if self.servo is None else self.free.columns(self.servo)
+
+    def drive(self, robot: SimulatedRobot) -> SimulatedRobot:
+        """Return a robot that the law drives."""
+        return robot.with_servo(self.servo)
+
+    def moved(self, step: Array) -> FittedLaw:
+        """Return the law at coordinates `step` (size,) from it."""
+        return (
+            self if self.servo is None else replace(self, servo=self.free.moved(self.servo, step))
+        )
+
+    def at_bound(self, gradient: Array) -> Mask:
+        """Return which coordinates (size,) lie at their bound with the descent beyond it."""
+        if self.servo is None:
+            return np.empty(0, dtype=np.bool_)
+        return self.free.at_bound(self.servo, gradient)
+
+    def away(self, start: FittedLaw) -> Array:
+        """Return the coordinates (size,) from another law."""
+        if self.servo is None or start.servo is None:
+            return np.zeros(self.size)
+        return self.free.away(self.servo, start.servo)
+
+    def torque_scale(self, start: FittedLaw, k: int) -> tuple[float, float]:
+        """Return the factor of the torque of joint k from another law, and kp per unit of it.
+
+        The latter is zero where the stiffness is not fitted.
+        """
+        if self.servo is None or start.servo is None or not self.free.stiffness:
+            return 1.0, 0.0
+        return self.servo.kp[k] / start.servo.kp[k], start.servo.kp[k]
