@@ -75,8 +75,8 @@ def note_missing_gains(
     result: IdentificationResult, kind: Literal["mjcf", "urdf"]
 ) -> tuple[str, ...]:
     """Return what a model file cannot hold of the servo of a result."""
-    with_gains = kind == "urdf" and result.servo is not None
-    gains = ("URDF has no place for the gains of the servo",) if with_gains else ()
+    lost = kind == "urdf" and result.servo is not None
+    gains = ("URDF has no place for the gains of the servo",) if lost else ()
     return (*note_left_out_servo(result.servo, kind.upper()), *gains)
 
 
