@@ -194,7 +194,7 @@ def _validate_described(
     model, (logged,) = read_robot_and_recordings(
         load_described_robot(robot, reading.base), reading, log
     )
-    from asbuilt.workflow.driving import lacks_torque
+    from asbuilt.workflow.torque_source import lacks_torque
 
     # Where a log has neither torque nor gains, simulated motion is all there is to compare.
     with_torque = [each for each in logged if not (options.rollout and lacks_torque(each))]

@@ -29,9 +29,9 @@ from asbuilt.identification.trajectories.simulated_robot import (
 )
 from asbuilt.identification.trajectories.windows import cut_windows
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
-from asbuilt.workflow.driving import drive_as_built, drive_as_described
 from asbuilt.workflow.prepare import find_unseeing
 from asbuilt.workflow.study_options import ValidationOptions
+from asbuilt.workflow.torque_source import drive_as_built, drive_as_described
 
 Simulated = tuple[Recording, Samples, DriveSignal]
 """A recording, the part of its motion that is simulated, and what drives it."""

@@ -44,10 +44,9 @@ from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.workflow.driving import with_servo
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
-from asbuilt.workflow.torque_source import MeasuredTorque
+from asbuilt.workflow.torque_source import MeasuredTorque, with_servo
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.refined_fit import RefinedFit

@@ -33,7 +33,6 @@ from asbuilt.validation import (
 from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
 from asbuilt.validation.verdicts.verdict_error import with_exported
-from asbuilt.workflow.driving import drive_as_built, find_asked_torques, require_torque
 from asbuilt.workflow.prepare import (
     Progress,
     find_unseeing,
@@ -43,6 +42,7 @@ from asbuilt.workflow.prepare import (
 )
 from asbuilt.workflow.study import Study, identify
 from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions, ValidationOptions
+from asbuilt.workflow.torque_source import drive_as_built, find_asked_torques, require_torque
 
 
 def validate(
