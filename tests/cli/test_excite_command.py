@@ -40,7 +40,10 @@ FIELDS = {
             ("two-link", ()),
             ("scara", ("--parametrisation", "point-to-point", "--rate", 1000)),
             ("ur10e", ("--static", 8)),
-            ("franka-panda", ("--collision", "skeleton:0.05", "--drive", "viscous")),
+            (
+                "franka-panda",
+                ("--collision", "skeleton:0.05", "--drive", "viscous", "--harmonics", 3),
+            ),
         ],
     ),
 )
@@ -255,7 +258,9 @@ def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
             "excite",
             "ur10e",
             "--duration",
-            8,
+            4,
+            "--harmonics",
+            3,
             "--starts",
             1,
             "--no-report",
@@ -269,7 +274,7 @@ def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
 def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path: Path) -> None:
     file, base = (
         tmp_path / "motion.csv",
-        (*("excite", "ur10e", "--duration", 8, "--starts", 1, "--no-report"),),
+        (*("excite", "ur10e", "--duration", 4, "--harmonics", 3, "--starts", 1, "--no-report"),),
     )
     status, out, err = call(capsys, *base, "--out", file, "--json")
     assert status == 0, err
