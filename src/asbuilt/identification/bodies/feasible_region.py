@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import linprog
-from scipy.sparse import csc_array
 from scipy.special import chdtri
 
 from asbuilt.arrays import Array
@@ -177,7 +176,7 @@ class FeasibleRegion:
         solution = linprog(
             # A change is the difference of two non-negative parts: their sum is its l1 norm.
             np.append(np.ones(2 * n), np.zeros(unseen.shape[1])),
-            A_eq=csc_array(np.hstack([rows, -rows, -open_rows])),
+            A_eq=np.hstack([rows, -rows, -open_rows]),
             b_eq=right,
             bounds=[(0.0, None)] * (2 * n) + [(None, None)] * unseen.shape[1],
         )
