@@ -394,7 +394,8 @@ def check_excitation(
     rows = motion.thinned(800)
     states = (motion.q[rows], motion.qd[rows], motion.qdd[rows])
     observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
-    lengths = np.linalg.norm(observed, axis=0)
+    # Without the squares as an array, which of many joints is as large as all rows.
+    lengths = np.sqrt(np.einsum("ij,ij->j", observed, observed))
     # A column without excitation keeps its length, so that it counts as zero in the rank.
     lengths[lengths <= _RANK_TOLERANCE * np.max(lengths)] = 1.0
     values, directions = _decompose(observed, lengths)
