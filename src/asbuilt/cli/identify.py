@@ -19,19 +19,15 @@ from asbuilt.cli.arguments.options import (
     Judges,
     Logs,
     Out,
-    Processes,
     Result,
     Robot,
-    Scheduler,
     Seed,
+    Sharing,
     TimelineFiles,
-    load_described_robot,
     parse_places,
     read_robot_and_recordings,
     refuse_idle,
-    refuse_sharing,
     require_distinct_logs,
-    share_workers,
 )
 from asbuilt.workflow.study_options import (
     AUTOMATIC,
@@ -57,8 +53,7 @@ def identify(
             "--payload", metavar="LOG", help="a recording under load: what does the flange carry?"
         ),
     ] = None,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    sharing: Sharing,
     reading: ReadingOptions,
     filtering: Filtering,
     timelines: TimelineFiles,
@@ -69,12 +64,12 @@ def identify(
     """Identify a robot from recordings, and validate the result."""
     require_distinct_logs(log, validate, payload)
     if not options.rollout:
-        refuse_sharing("only rollouts are shared", workers, scheduler)
-    model = load_described_robot(robot, **reading.of_base)
+        sharing.refuse("only rollouts are shared")
+    model = asbuilt.load_robot(robot, **reading.of_base)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
-    with show_progress() as report, share_workers(workers, scheduler) as shared:
+    with show_progress() as report, sharing.open() as shared:
         report("read", 0.0)
         model, (recordings, others, loaded) = read_robot_and_recordings(
             model, reading, log, validate, payload
@@ -146,6 +141,7 @@ def _suggest_next_command(study: asbuilt.Study, robot: str, files: Mapping[str, 
 
 def export(
     result: Result,
+    *,
     urdf: Annotated[
         Path | None,
         typer.Option(
@@ -230,8 +226,7 @@ def export(
         ),
     ] = None,
     seed: Seed = 0,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    sharing: Sharing,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -250,14 +245,14 @@ def export(
             | {"--force": force, "--to": bool(to), "--observer": observer is not None}
             | {"--elastic": elastic},
         )
-        with share_workers(workers, scheduler) as shared:
+        with sharing.open() as shared:
             models: Literal["mjcf", "urdf"] = "urdf" if bare else "mjcf"
             _export_ensemble(
                 asbuilt.read_result(result), ensemble, models, seed, out, shared, full=full,
                 as_json=as_json,
             )  # fmt: skip
         return
-    refuse_sharing("only the draws of an ensemble are shared", workers, scheduler)
+    sharing.refuse("only the draws of an ensemble are shared")
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})

@@ -29,14 +29,13 @@ from asbuilt.cli.arguments.options import (
     Robot,
     RobotOrResult,
     Seed,
-    load_described_robot,
     load_robot_as_built,
     parse_number_list,
     parse_positive_number,
     read_robot_and_recordings,
     refuse_idle,
     require_distinct_logs,
-    require_writable_file,
+    written_file,
 )
 from asbuilt.cli.arguments.spread import require_known_value
 from asbuilt.description.inertia import tool_from_text
@@ -73,7 +72,7 @@ def check(
     and excitation. A recording sheet that makes a log readable, or better, is printed, complete.
     """
     require_distinct_logs(log)
-    described = load_described_robot(robot, **reading.of_base)
+    described = asbuilt.load_robot(robot, **reading.of_base)
     proposals: dict[Path, experiment.SheetProposal] = {}
     written: dict[str, Path] = {}
     if write_sheet:
@@ -308,12 +307,9 @@ def simulate(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
+        written_file(
             metavar="LOG",
-            help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
-            callback=require_writable_file,
+            text="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
         ),
     ] = None,
     fixed_base: FixedBase = False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -26,12 +26,12 @@ from asbuilt.cli.answers import (
     show_progress,
 )
 from asbuilt.cli.arguments.options import (
+    AS_IDENTIFIED,
     AsJson,
+    BaseOptions,
     Browser,
-    Contacts,
     Drive,
     FixedBase,
-    FreeBase,
     Full,
     PagePort,
     Robot,
@@ -41,6 +41,7 @@ from asbuilt.cli.arguments.options import (
     load_robot_as_built,
     refuse_idle,
     require_writable_file,
+    written_file,
 )
 from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.codec import format_json
@@ -67,9 +68,8 @@ def drives(full: Full = False, as_json: AsJson = False) -> None:
 
 def show(
     robot: RobotOrResult,
-    fixed_base: FixedBase = False,
-    free_base: FreeBase = False,
-    contacts: Contacts = None,
+    *,
+    base_options: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -78,23 +78,14 @@ def show(
     For a result, it shows the robot as built, and CAD masses for comparison.
     """
     if not is_result(robot):
-        model = load_described_robot(
-            robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
-        )
+        model = load_described_robot(robot, **asdict(base_options))
         answer(
             as_json,
             lambda: writers.robot_document(model),
             lambda: writers.robot_text(model, full, describe_cure),
         )
         return
-    refuse_idle(
-        "the robot of a result is taken as it was identified",
-        {
-            "--fixed-base": fixed_base,
-            "--free-base": free_base,
-            "--contacts": contacts is not None,
-        },
-    )
+    refuse_idle(AS_IDENTIFIED, find_given_options(base_options))
     result = asbuilt.read_result(Path(robot))
 
     model = writers.as_built(result).model
@@ -115,16 +106,7 @@ def schema(
     kind: Annotated[
         str, typer.Argument(metavar="KIND", help="robot (robot file) or sheet (recording sheet)")
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="file to write [default: print]",
-            callback=require_writable_file,
-        ),
-    ] = None,
+    out: Annotated[Path | None, written_file(text="file to write [default: print]")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print or write the JSON Schema of a file that people write.
@@ -138,10 +120,9 @@ def schema(
 
 def base(
     robot: Robot,
+    *,
     drive: Drive = None,
-    fixed_base: FixedBase = False,
-    free_base: FreeBase = False,
-    contacts: Contacts = None,
+    base_options: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -151,9 +132,7 @@ def base(
     """
     from asbuilt.dynamics.drives.torque import keep_driven_joints
 
-    model = load_described_robot(
-        robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
-    )
+    model = load_described_robot(robot, **asdict(base_options))
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
     found = asbuilt.find_base_parameters(model, keep_driven_joints(model, chosen))
     standard = writers.standard_table if full else writers.identifiability_table
@@ -175,11 +154,9 @@ def view(
     *,
     save: Annotated[
         Path | None,
-        typer.Option(
+        written_file(
             "--save",
-            metavar="FILE",
-            help=("write a page (.html), a picture (.png) or an animation (.gif, .webp) instead"),
-            callback=require_writable_file,
+            text="write a page (.html), a picture (.png) or an animation (.gif, .webp) instead",
         ),
     ] = None,
     port: PagePort = 8080,
@@ -270,7 +247,7 @@ def convert(
     A robot file (.toml) also holds gravity, couplings of motors and drives, which can be added
     there by hand. What the format cannot hold is listed; shapes and meshes are left out.
     """
-    model = load_described_robot(robot, fixed_base=fixed_base)
+    model = asbuilt.load_robot(robot, fixed_base=fixed_base)
     if lock is not None:
         model = model.locked(locks_from_text(lock))
     if gravity is not None:

@@ -12,7 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
 
-from asbuilt.description.formats.description_format import FORMATS, format_of, list_suffixes
+from asbuilt.description.formats.description_format import (
+    DESCRIPTION_FORMATS,
+    format_of,
+    list_suffixes,
+)
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.free_base import BaseKind
@@ -61,7 +65,7 @@ def find_published_description(name: str) -> Path:
 
 
 def load_robot(
-    name_or_path: str | os.PathLike[str],
+    name_or_path: RobotModel | str | os.PathLike[str],
     *,
     fixed_base: bool = False,
     base: BaseKind = "fixed",
@@ -75,7 +79,8 @@ def load_robot(
     name_or_path
         Name of a bundled robot, or of one of the package `robot_descriptions` such as
         `panda_description`, or a file: TOML, URDF, MJCF, SDF, xacro, a DH and mass table (CSV), or
-        a format that another distribution registers. XML is recognised by content.
+        a format that another distribution registers. XML is recognised by content. A robot that
+        is loaded already is returned as it is.
     fixed_base
         Whether a free joint is held at its pose, as of a robot hung in the air.
     base
@@ -102,6 +107,8 @@ def load_robot(
     >>> load_robot("two-link").joint_names
     ('joint_1', 'joint_2')
     """
+    if isinstance(name_or_path, RobotModel):
+        return name_or_path
     with allow_xacro_python(trust_xacro):
         found = _load(os.fspath(name_or_path), fixed_base, base)
     if not contacts:
@@ -150,9 +157,9 @@ def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
     content = read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION)
     found = format_of(path, content)
     if found is None and find_outermost_tag(content):
-        found = FORMATS["urdf"]
+        found = DESCRIPTION_FORMATS["urdf"]
     if found is None:
-        titles = ", ".join(each.title for each in FORMATS.values())
+        titles = ", ".join(each.title for each in DESCRIPTION_FORMATS.values())
         raise DescriptionError(
             f"{path} is not a robot description in a known format; formats are {titles}",
             file=str(path),

@@ -282,7 +282,7 @@ class RobotModel:
         return self.n_floating > 0
 
     @cached_property
-    def standing(self) -> RobotModel:
+    def on_held_base(self) -> RobotModel:
         """The robot with its base held still at zero; itself on a fixed root."""
         held = dict.fromkeys(self.joint_names[: self.n_floating], 0.0)
         return replace(self.locked(held), locked_joints=self.locked_joints) if held else self

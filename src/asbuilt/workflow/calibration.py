@@ -99,7 +99,7 @@ def identify_payload(
         If the recordings do not determine a mass.
     """
     options = options or PayloadOptions()
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     prepared = _prepare_loaded(
         result, recordings, (unloaded, validation), options, options.holdout, progress
     )
@@ -137,7 +137,7 @@ def identify_moments(
     cover the difference alone.
     """
     options = options or PayloadOptions()
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     prepared = _prepare_loaded(result, recordings, (unloaded,), options, None, progress)
     (bare,) = prepared.others
     return identify_added_moments(result, prepared.training, unloaded=bare, frame=options.frame)
@@ -205,8 +205,7 @@ def find_gains(
         If the recordings do not determine the gains.
     """
     options = options or GainOptions()
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (bare, under) = read_fitted_recordings(model, (recordings, loaded))
+    model, (bare, under) = read_fitted_recordings(load_robot(robot), (recordings, loaded))
     prepared = prepare(
         model,
         [*bare, *under],
@@ -278,8 +277,7 @@ def identify_channels(
         If the two channels were not logged at the same instants.
     """
     options = options or ChannelOptions()
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (sensors, motors) = read_fitted_recordings(model, (sensor, motor))
+    model, (sensors, motors) = read_fitted_recordings(load_robot(robot), (sensor, motor))
     if len(sensors) != len(motors):
         raise UsageError(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -30,18 +30,6 @@ DELAYS = Range(-10.0, 10.0, "s")
 """Delays of a torque; the search of one looks no further than a part of a second."""
 
 
-@contextmanager
-def share_workers(processes: int | None, scheduler: str | None) -> Iterator[Workers | None]:
-    """Yield the workers of `--workers` or `--scheduler`, None without either."""
-    if processes is None and scheduler is None:
-        yield None
-        return
-    refuse_both(processes, scheduler)
-
-    with asbuilt.open_workers(processes, scheduler) as workers:
-        yield workers
-
-
 def refuse_both(processes: int | None, scheduler: str | None) -> None:
     """Raise `UsageError` if `--workers` and `--scheduler` are both given."""
     if processes is not None and scheduler is not None:
@@ -50,9 +38,60 @@ def refuse_both(processes: int | None, scheduler: str | None) -> None:
         )
 
 
-def refuse_sharing(why: str, processes: int | None, scheduler: str | None) -> None:
-    """Raise `UsageError`, saying why, if work that one process does is to be shared."""
-    refuse_idle(why, {"--workers": processes is not None, "--scheduler": scheduler is not None})
+@dataclass(frozen=True)
+class Sharing:
+    """The options that share work among processes."""
+
+    workers: int | None = field(
+        default=None,
+        metadata={
+            "help": "processes that share the work (default: this one)",
+            "metavar": "N",
+            "typer": {"min": 1, "max": 1024},
+        },
+    )
+    scheduler: str | None = field(
+        default=None,
+        metadata={
+            "help": "Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786",
+            "metavar": "ADDRESS",
+        },
+    )
+
+    @contextmanager
+    def open(self) -> Iterator[Workers | None]:
+        """Yield the workers that are asked for, None without any."""
+        if self.workers is None and self.scheduler is None:
+            yield None
+            return
+        refuse_both(self.workers, self.scheduler)
+        with asbuilt.open_workers(self.workers, self.scheduler) as workers:
+            yield workers
+
+    def refuse(self, why: str) -> None:
+        """Raise `UsageError`, saying why, if work that one process does is to be shared."""
+        refuse_idle(why, find_given_options(self))
+
+
+@dataclass(frozen=True)
+class BaseOptions:
+    """The options of how the base of a robot can move."""
+
+    fixed_base: bool = field(
+        default=False,
+        metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
+    )
+    free_base: bool = field(
+        default=False,
+        metadata={"help": "the robot stands on no fixed root: legs, drones, satellites"},
+    )
+    contacts: str | None = field(
+        default=None,
+        metadata={
+            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
+            "metavar": "FRAME,...",
+        },
+    )
 
 
 def require_writable_folder(folder: Path | None) -> Path | None:
@@ -126,28 +165,22 @@ FixedBase = Annotated[
         "--fixed-base", help="hold a free joint of the robot at its pose (a robot hung in the air)"
     ),
 ]
-FreeBase = Annotated[
-    bool,
-    typer.Option("--free-base", help="the robot stands on no fixed root: legs, drones, satellites"),
-]
-Contacts = Annotated[
-    str | None,
-    typer.Option(
-        "--contacts",
-        metavar="FRAME,...",
-        help="links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="DIR",
-        help="folder for the files to write",
-        callback=require_writable_folder,
-    ),
-]
+OUT = ("--out", "-o")
+
+
+def out_folder(text: str = "folder for the files to write") -> typer.models.OptionInfo:
+    """Return the option that names the folder of the files of a command."""
+    return typer.Option(*OUT, metavar="DIR", help=text, callback=require_writable_folder)  # type: ignore[no-any-return]
+
+
+def written_file(*names: str, metavar: str = "FILE", text: str) -> typer.models.OptionInfo:
+    """Return the option that names a file to write, `--out` without another name."""
+    return typer.Option(  # type: ignore[no-any-return]
+        *(names or OUT), metavar=metavar, help=text, callback=require_writable_file
+    )
+
+
+Out = Annotated[Path | None, out_folder()]
 Judges = Annotated[
     list[Path] | None,
     typer.Option(
@@ -158,24 +191,6 @@ Judges = Annotated[
 ]
 Unchecked = Annotated[
     bool, typer.Option("--unchecked", help="use the recordings whatever their checks find")
-]
-Processes = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        min=1,
-        max=1024,
-        help="processes that share the work (default: this one)",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786",
-    ),
 ]
 Carrier = Annotated[
     str | None,
@@ -276,16 +291,15 @@ def parse_delay(text: str) -> float | tuple[float, ...] | Literal["auto"] | None
     return values[0] if len(values) == 1 else values
 
 
-def load_described_robot(
-    robot: str, *, fixed_base: bool = False, free_base: bool = False, contacts: str | None = None
-) -> asbuilt.RobotModel:
-    """Return the robot that a name or a path describes, its base held or free if that is asked."""
-    return asbuilt.load_robot(
-        robot,
-        fixed_base=fixed_base,
-        base="free" if free_base else "fixed",
-        contacts=contacts or "",
-    )
+def load_described_robot(robot: str, **of_base: Any) -> asbuilt.RobotModel:
+    """Return the robot that a name or a path describes, its base as `BaseOptions` say."""
+    return asbuilt.load_robot(robot, **asbuilt.ReadingOptions(**of_base).of_base)
+
+
+AS_IDENTIFIED = "the robot of a result is taken as it was identified"
+"""Why options that change a robot as described do not go with a result."""
+OF_DESCRIPTIONS = ("--lock", "--gravity", "--fixed-base", "--free-base", "--contacts")
+"""Options of reading that change the robot."""
 
 
 def is_result(path: str) -> bool:
@@ -296,9 +310,8 @@ def is_result(path: str) -> bool:
 def load_robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
     if not is_result(robot):
-        return load_described_robot(robot, fixed_base=fixed_base)
-    refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
-
+        return asbuilt.load_robot(robot, fixed_base=fixed_base)
+    refuse_idle(AS_IDENTIFIED, {"--fixed-base": fixed_base})
     return writers.as_built(asbuilt.read_result(Path(robot))).model
 
 
@@ -358,16 +371,8 @@ def read_recordings_of_robot(
     model: asbuilt.RobotModel, logs: Sequence[Path] | None, reading: asbuilt.ReadingOptions
 ) -> list[asbuilt.Recording | RecordingStream]:
     """Return the recordings of an identified robot, none if no logs are given."""
-    refuse_idle(
-        "the robot of a result is taken as it was identified",
-        {
-            "--lock": reading.lock is not None,
-            "--gravity": reading.gravity is not None,
-            "--fixed-base": reading.fixed_base,
-            "--free-base": reading.free_base,
-            "--contacts": reading.contacts is not None,
-        },
-    )
+    given = find_given_options(reading)
+    refuse_idle(AS_IDENTIFIED, {option: given[option] for option in OF_DESCRIPTIONS})
     return asbuilt.as_recordings(model, logs or [], reading)  # type: ignore[return-value]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import parse_finite_number
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import (
     close_match,
@@ -492,7 +492,7 @@ def _read_text(element: Element, tag: str, place: str, default: str | None = Non
     return text
 
 
-FORMATS.register(
+DESCRIPTION_FORMATS.register(
     "sdf",
     DescriptionFormat(
         "SDF",

@@ -407,7 +407,7 @@ def design_motion(
     >>> design.limits.is_respected, design.motion.duration
     (True, 4.0)
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     refuse_open_postures(model)
     refuse_free_base(
         model.name,

@@ -124,7 +124,7 @@ def design_static_poses(
     >>> design_static_poses("two-link", 3).n_parameters
     2
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     asked = options or DesignOptions()
     constraints = (
         *build_constraints(

@@ -299,4 +299,4 @@ def _measure_mean_square(x: Array) -> float:
 
 def drop_base_joints(model: RobotModel, recording: Recording) -> Recording:
     """Return a recording of the joints that have a drive, as of a robot that is held."""
-    return replace(recording.reordered(model.standing.joint_names), undriven=(), contact=None)
+    return replace(recording.reordered(model.on_held_base.joint_names), undriven=(), contact=None)

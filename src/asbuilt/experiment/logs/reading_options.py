@@ -283,8 +283,12 @@ class ReadingOptions:
 
     @property
     def of_base(self) -> dict[str, Any]:
-        """The options that concern the base of the robot, by name."""
-        return {name: getattr(self, name) for name in ("fixed_base", "free_base", "contacts")}
+        """What `load_robot` takes of the base of the robot, by name."""
+        return {
+            "fixed_base": self.fixed_base,
+            "base": "free" if self.free_base else "fixed",
+            "contacts": self.contacts or "",
+        }
 
     def __post_init__(self) -> None:
         if self.torque_source not in (None, *TORQUE_SOURCES):

@@ -213,7 +213,7 @@ def _read_one(
     robot: RobotModel | str | Path, item: RecordingLike, settings: Mapping[str, Any]
 ) -> tuple[RobotModel, Recording | RecordingStream]:
     """Return a robot as it was recorded, and its one recording."""
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     options = merge_reading_options(None, settings)
     model, (found,) = read_fitted_recordings(model, (item,), options)
     if len(found) != 1 or isinstance(found[0], Samples):
@@ -318,7 +318,7 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
         drop_base_joints,
     )
 
-    held = check_recording(model.standing, drop_base_joints(model, recording))
+    held = check_recording(model.on_held_base, drop_base_joints(model, recording))
     # Cures name a motion designed for a held base, which one on legs cannot use.
     kept = (
         replace(f, cure=f.cure and undesigned(f.cure))

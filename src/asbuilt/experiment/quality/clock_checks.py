@@ -18,10 +18,10 @@ FEW_LOST = 0.01
 then long, and nearly all samples used."""
 
 
-def check_clock(recording: FirstPass) -> Iterator[Finding]:
+def check_clock(statistics: FirstPass) -> Iterator[Finding]:
     """Find missing values, wrong units of time, time stamps that repeat, decrease or jump."""
-    yield from _find_not_finite(recording)
-    clock = recording.clock
+    yield from _find_not_finite(statistics)
+    clock = statistics.clock
     backward = clock.backward
     if backward.count:
         yield Finding(
@@ -52,7 +52,7 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
     if gaps.size:
         longest = int(np.argmax(gaps))
         # A few lost samples are nobody's worry: the recording is split there.
-        few = gaps.size <= FEW_GAPS and gaps.sum() < FEW_LOST * recording.duration
+        few = gaps.size <= FEW_GAPS and gaps.sum() < FEW_LOST * statistics.duration
         yield Finding(
             "clock_gap",
             "info" if few else "warning",
@@ -73,25 +73,25 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
             f" {1e3 * step:.3g} ms",
             Cure("no action is needed: the recording is resampled to a uniform clock"),
         )
-    yield from _find_stale(recording)
+    yield from _find_stale(statistics)
 
 
-def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
+def _find_not_finite(statistics: FirstPass) -> Iterator[Finding]:
     """Find values that are missing, infinite or absurd, once for columns with the same rows."""
-    clock = recording.clock
+    clock = statistics.clock
     if clock.n_unknown:
         yield Finding(
             "not_finite",
             "error",
-            f"{clock.n_unknown} of {recording.n_samples} time stamps are not numbers, first at"
+            f"{clock.n_unknown} of {statistics.n_samples} time stamps are not numbers, first at"
             f" sample {clock.unknown_row + 1}",
             Cure("repair or remove these rows"),
         )
     together: dict[bytes, list[Missing]] = {}
     # Columns that miss the same rows have one cause, and one finding.
-    for column in recording.missing:
+    for column in statistics.missing:
         together.setdefault(column.rows.tobytes(), []).append(column)
-    names = recording.first.joint_names
+    names = statistics.first.joint_names
     for columns in together.values():
         rows = columns[0].rows
         value = columns[0].first
@@ -109,7 +109,7 @@ def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
         yield Finding(
             "not_finite",
             "error",
-            f"{rows.size} of {recording.n_samples} values of {' and '.join(listed)} are not usable"
+            f"{rows.size} of {statistics.n_samples} values of {' and '.join(listed)} are not usable"
             f" numbers, the first {kind} at sample {rows[0] + 1}, t = {columns[0].time:.6g} s",
             Cure("repair or remove these rows, or exclude them by [[windows]] in a sheet"),
             joint=names[columns[0].joint],
@@ -153,21 +153,21 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
         )
 
 
-def _find_stale(recording: FirstPass) -> Iterator[Finding]:
-    repeats = recording.repeats
+def _find_stale(statistics: FirstPass) -> Iterator[Finding]:
+    repeats = statistics.repeats
     if repeats.n_changed < 3 or repeats.brief < MOST_REPEATS:
         return
     # A value changes once in so many samples.
     times = repeats.brief / repeats.n_brief
     share = 1.0 - repeats.n_brief / repeats.brief
-    rate = recording.rate / times
+    rate = statistics.rate / times
     if share > 0.2:
         yield Finding(
             "stale_samples",
             "warning",
             f"{100 * share:.0f} % of the samples repeat the one before in every joint: values"
             f" change about every {times:.3g} samples ({rate:.3g} Hz), the log has"
-            f" {recording.rate:.4g} Hz",
+            f" {statistics.rate:.4g} Hz",
             Cure(
                 "log at the controller's rate, or keep the low-pass cutoff well below"
                 f" {rate / 2:.3g} Hz"

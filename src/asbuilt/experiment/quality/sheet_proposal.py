@@ -255,7 +255,7 @@ def _complete(
     try:
         sheet = RecordingSheet.model_validate(content)
         table = read_table([*paths], sheet)
-        layout = find_table_layout(table, sheet, model.standing, options)
+        layout = find_table_layout(table, sheet, model.on_held_base, options)
         # Completed sheets are kept only if they read the same.
         full = merge_fields(content, _list_columns(table, layout, content))
         again = head_of_recorded(_read(model, paths, options, full)[1])

@@ -25,20 +25,19 @@ EXCEEDED = 1.2
 """Multiple of a torque limit that no drive gives: sensors and filters overshoot by less."""
 
 
-def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def check_channels(model: RobotModel, statistics: FirstPass) -> Iterator[Finding]:
     """Name joints without a usable torque channel, unless there is none at all."""
-    if not recording.first.has_torque.any():
+    if not statistics.first.has_torque.any():
         return
-    for k in np.flatnonzero(~recording.first.has_torque).tolist():
+    for k in np.flatnonzero(~statistics.first.has_torque).tolist():
         joint = model.joints[k]
-        value = recording.first.tau[0, k]
-        ranges = recording.position_range
-        torque, angle = ("N m", "rad") if joint.is_revolute else ("N", "m")
+        value = statistics.first.tau[0, k]
+        ranges = statistics.position_range
         what = (
-            f"is not logged in any of {recording.n_samples} samples"
+            f"is not logged in any of {statistics.n_samples} samples"
             if np.isnan(value)
-            else f"is {value:.4g} {torque} in all {recording.n_samples} samples, while the joint"
-            f" moves by {ranges.high[k] - ranges.low[k]:.3g} {angle}"
+            else f"is {value:.4g} {joint.torque_unit} in all {statistics.n_samples} samples, while"
+            f" the joint moves by {ranges.high[k] - ranges.low[k]:.3g} {joint.unit}"
         )
         yield Finding(
             "joint_without_torque",
@@ -53,14 +52,14 @@ def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
 
 
 def check_saturation(
-    model: RobotModel, recording: FirstPass, closer: SecondPass
+    model: RobotModel, statistics: FirstPass, closer: SecondPass
 ) -> Iterator[Finding]:
     """Find torques that stay at an extreme value or reach the joint's torque limit.
 
     An extreme of zero is none: magnitudes rest there.
     """
-    n_changed = recording.repeats.n_changed
-    doubted = _doubt_torque_limits(model, recording)
+    n_changed = statistics.repeats.n_changed
+    doubted = _doubt_torque_limits(model, statistics)
     if doubted is not None:
         yield doubted
     for k, joint in enumerate(model.joints):
@@ -85,32 +84,34 @@ def check_saturation(
                     time=float(plateau.times[start]),
                 )
         limit = joint.limits.torque
-        over = int(recording.saturated.count[k])
+        over = int(statistics.saturated.count[k])
         # Currents have no limit in the description's unit.
-        stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
+        stated = 0.0 < limit < np.inf and statistics.first.torque_source != "current"
         stated = stated and doubted is None
         # From half of the samples on the limit itself is doubted elsewhere.
         if closer.plateaus[k] and stated and 3 <= over < 0.5 * n_changed:
             yield Finding(
                 "torque_limit",
                 "warning",
-                f"the torque of {joint.name} reaches {recording.saturated.value[k]:.4g} N m in"
+                f"the torque of {joint.name} reaches {statistics.saturated.value[k]:.4g} N m in"
                 f" {over} of {n_changed} samples; its limit is {limit:.4g} N m",
                 Cure("record a gentler motion if the drive saturates, or check the torque unit"),
                 joint=joint.name,
-                time=float(recording.saturated.time[k]),
+                time=float(statistics.saturated.time[k]),
             )
 
 
-def _doubt_torque_limits(model: RobotModel, recording: FirstPass) -> Finding | None:
+def _doubt_torque_limits(model: RobotModel, statistics: FirstPass) -> Finding | None:
     """Return that one number is the torque limit of every joint, which the log exceeds."""
     limits = np.array([joint.limits.torque for joint in model.joints])
     known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
-    current = recording.first.torque_source == "current"
+    current = statistics.first.torque_source == "current"
     if current or known.size < FEWEST_ALIKE or np.ptp(limits[known]) > 0.0:
         return None
     # Joints that stay below their limits have no value.
-    reached = np.where(recording.saturated.count > 0, np.abs(recording.saturated.value), 0.0)[known]
+    reached = np.where(statistics.saturated.count > 0, np.abs(statistics.saturated.value), 0.0)[
+        known
+    ]
     k = int(np.argmax(reached))
     if reached[k] < EXCEEDED * limits[known[k]]:
         return None
@@ -124,19 +125,19 @@ def _doubt_torque_limits(model: RobotModel, recording: FirstPass) -> Finding | N
     )
 
 
-def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def check_spikes(model: RobotModel, statistics: FirstPass) -> Iterator[Finding]:
     """Name joints with single torques that stand out from their neighbours: number, size, place."""
-    for joint in sorted({spike.joint for spike in recording.spikes}):
-        spikes_here = [spike for spike in recording.spikes if spike.joint == joint]
+    for joint in sorted({spike.joint for spike in statistics.spikes}):
+        spikes_here = [spike for spike in statistics.spikes if spike.joint == joint]
         times = np.concatenate([spike.times for spike in spikes_here])
         sizes = np.concatenate([spike.sizes for spike in spikes_here])
         worst = int(np.argmax(sizes))
         name = model.joint_names[joint]
-        unit = "N m" if model.joints[joint].is_revolute else "N"
+        unit = model.joints[joint].torque_unit
         yield Finding(
             "torque_spikes",
             "warning",
-            f"{times.size} of {recording.n_samples} torques of {name} stand out from the"
+            f"{times.size} of {statistics.n_samples} torques of {name} stand out from the"
             f" samples next to them, by up to {sizes[worst]:.4g} {unit} at"
             f" t = {times[worst]:.6g} s; fits use the mean of these neighbours instead",
             Cure("find out where single values come from: a hard stop, the bus or the sensor"),

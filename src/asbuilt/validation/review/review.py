@@ -24,7 +24,7 @@ from asbuilt.validation.review.claimed_numbers import (
     TOGETHER,
     Claim,
     ClaimedNumber,
-    ClaimVerdict,
+    ClaimStatus,
     Profile,
     derive_scale_errors,
     derive_servo_damping,
@@ -34,7 +34,7 @@ from asbuilt.validation.review.claimed_numbers import (
     review_servo_claims,
 )
 
-ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
+ORDER: tuple[ClaimStatus, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
 """Plausible errors of masses, centres and inertias of a description; own choice."""
 NOT_NEGATIVE = (
@@ -109,7 +109,7 @@ class Review:
         sums = compare(self.result, level=self.level)
         return sums.n_differing, sums.n_compared
 
-    def count(self, verdict: ClaimVerdict) -> int:
+    def count(self, verdict: ClaimStatus) -> int:
         """Return the number of claims with a verdict."""
         return sum(claim.verdict == verdict for claim in self.claims)
 

@@ -22,7 +22,7 @@ from asbuilt.identification.bodies.consistency import find_inconsistency
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import SIGNIFICANT_SIGMAS, round_significant
 from asbuilt.validation.comparison.significance import chi_square
-from asbuilt.validation.verdicts.verdict_error import POOR, NearestModel
+from asbuilt.validation.verdicts.model_errors import POOR, NearestModel
 
 CURE = Cure(
     "identify with physical consistency, identify the base tilt, change the drive terms, or export"
