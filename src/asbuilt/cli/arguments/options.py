@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
@@ -17,7 +17,7 @@ import typer
 import asbuilt
 from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.ranges import Range, make_range_error
+from asbuilt.ranges import Range, make_range_error, option, switch
 from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
@@ -42,20 +42,14 @@ def refuse_both(processes: int | None, scheduler: str | None) -> None:
 class Sharing:
     """The options that share work among processes."""
 
-    workers: int | None = field(
-        default=None,
-        metadata={
-            "help": "processes that share the work (default: this one)",
-            "metavar": "N",
-            "typer": {"min": 1, "max": 1024},
-        },
+    workers: int | None = option(
+        None,
+        "N",
+        "processes that share the work (default: this one)",
+        typer={"min": 1, "max": 1024},
     )
-    scheduler: str | None = field(
-        default=None,
-        metadata={
-            "help": "Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786",
-            "metavar": "ADDRESS",
-        },
+    scheduler: str | None = option(
+        None, "ADDRESS", "Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786"
     )
 
     @contextmanager
@@ -73,24 +67,20 @@ class Sharing:
         refuse_idle(why, find_given_options(self))
 
 
+HELD_BASE = "hold a free joint of the robot at its pose (a robot hung in the air)"
+"""Text of `--fixed-base`."""
+
+
 @dataclass(frozen=True)
 class BaseOptions:
     """The options of how the base of a robot can move."""
 
-    fixed_base: bool = field(
-        default=False,
-        metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
-    )
-    free_base: bool = field(
-        default=False,
-        metadata={"help": "the robot stands on no fixed root: legs, drones, satellites"},
-    )
-    contacts: str | None = field(
-        default=None,
-        metadata={
-            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
-            "metavar": "FRAME,...",
-        },
+    fixed_base: bool = switch(False, HELD_BASE)
+    free_base: bool = switch(False, "the robot stands on no fixed root: legs, drones, satellites")
+    contacts: str | None = option(
+        None,
+        "FRAME,...",
+        "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
     )
 
 
@@ -161,9 +151,7 @@ Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="open the 
 Full = Annotated[bool, typer.Option("--full", help="print all rows and notes whatever their width")]
 FixedBase = Annotated[
     bool,
-    typer.Option(
-        "--fixed-base", help="hold a free joint of the robot at its pose (a robot hung in the air)"
-    ),
+    typer.Option("--fixed-base", help=HELD_BASE),
 ]
 OUT = ("--out", "-o")
 
@@ -217,41 +205,27 @@ Drive = Annotated[
 class Filtering:
     """The options that choose the signal chain."""
 
-    cutoff: str | None = field(
-        default=None,
-        metadata={
-            "help": "low-pass cutoff, chosen from the recording by default; identify also takes"
-            " auto: chosen by held-out torque",
-            "metavar": "HZ",
-        },
+    cutoff: str | None = option(
+        None,
+        "HZ",
+        "low-pass cutoff, chosen from the recording by default; identify also takes"
+        " auto: chosen by held-out torque",
     )
-    decimate: int | None = field(
-        default=None,
-        metadata={
-            "help": "keep every Nth sample after filtering",
-            "metavar": "N",
-            "typer": {"min": 1, "max": 100_000},
-        },
+    decimate: int | None = option(
+        None, "N", "keep every Nth sample after filtering", typer={"min": 1, "max": 100_000}
     )
-    max_gap: float | None = field(
-        default=None,
-        metadata={
-            "help": "longest pause that is bridged (default: what the low-pass does not resolve)",
-            "metavar": "SECONDS",
-        },
+    max_gap: float | None = option(
+        None,
+        "SECONDS",
+        "longest pause that is bridged (default: what the low-pass does not resolve)",
     )
-    delay: str | None = field(
-        default=None,
-        metadata={
-            "help": "time by which torque is late against position, one number or one per joint;"
-            " auto (the default): estimated; none",
-            "metavar": "SECONDS",
-        },
+    delay: str | None = option(
+        None,
+        "SECONDS",
+        "time by which torque is late against position, one number or one per joint;"
+        " auto (the default): estimated; none",
     )
-    preset: str = field(
-        default="default",
-        metadata={"help": "signal chain: default or paper2015 ", "metavar": "NAME"},
-    )
+    preset: str = option("default", "NAME", "signal chain: default or paper2015 ")
 
     @property
     def given(self) -> dict[str, bool]:
@@ -423,21 +397,17 @@ def parse_positive_number(option: str, text: str) -> float:
 class TimelineFiles:
     """The files in which a viewer shows measured and predicted torques over time."""
 
-    mcap: Path | None = field(
-        default=None,
-        metadata={
-            "help": "measured and predicted torques and events, for Foxglove and PlotJuggler",
-            "metavar": "FILE",
-            "typer": {"callback": require_writable_file, "autocompletion": None},
-        },
+    mcap: Path | None = option(
+        None,
+        "FILE",
+        "measured and predicted torques and events, for Foxglove and PlotJuggler",
+        typer={"callback": require_writable_file, "autocompletion": None},
     )
-    rrd: Path | None = field(
-        default=None,
-        metadata={
-            "help": "the same with the moving robot, for rerun",
-            "metavar": "FILE",
-            "typer": {"callback": require_writable_file, "autocompletion": None},
-        },
+    rrd: Path | None = option(
+        None,
+        "FILE",
+        "the same with the moving robot, for rerun",
+        typer={"callback": require_writable_file, "autocompletion": None},
     )
 
     def write(self, timelines: Callable[[], Sequence[writers.Timeline]]) -> dict[str, Path]:
