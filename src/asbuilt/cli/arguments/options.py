@@ -137,7 +137,7 @@ Logs = Annotated[
 ]
 RESULT_HELP = "a result.json that `asbuilt identify --out` wrote, or its folder"
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help=RESULT_HELP)]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="seed of everything random")]
 AsJson = Annotated[
     bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
 ]

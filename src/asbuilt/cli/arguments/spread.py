@@ -163,7 +163,8 @@ def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> insp
         **{"autocompletion": None if flag else _make_completion(metadata)}
         | metadata.get("typer", {}),
     )
-    kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
+    as_given = plain in (int, float, Path) or get_origin(plain) is list
+    kind: Any = plain if as_given and "parse" not in metadata else str
     return _make_keyword(
         field.name, Annotated[bool if flag else kind | None, option], False if flag else None
     )
