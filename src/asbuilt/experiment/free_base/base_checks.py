@@ -28,9 +28,8 @@ from asbuilt.findings import Cure, Finding, join_names
 #
 # Another reading must leave less than `FREE_BASE_SHARE` of the squared disagreement. Contact flags
 # are shifted by up to `FREE_BASE_LONGEST_SHIFT` [s], and named from `FREE_BASE_SHIFT` [s]. A
-# contact that is closed slips above `FREE_BASE_SLIP` [m/s]; one that is open touches where it
-# stands within `FREE_BASE_HEIGHT` [m] of where it stands when closed. `FREE_BASE_GRAVITY` [m/s^2]
-# is the least mean by which accelerations that hold gravity differ from the rates of the velocity.
+# contact that is closed slips above `FREE_BASE_SLIP` [m/s]. `FREE_BASE_GRAVITY` [m/s^2] is the
+# least mean by which accelerations that hold gravity differ from the rates of the velocity.
 # Stated radii are off by more than a part `FREE_BASE_RADIUS` from those on which feet roll. At most
 # `FREE_BASE_SAMPLES` of a log are looked at, `FREE_BASE_POSTURES` of them for the equations that
 # contacts leave: some in a part `FREE_BASE_LEFT` of them.
@@ -40,7 +39,6 @@ FREE_BASE_LONGEST_SHIFT = 0.1
 FREE_BASE_SHIFT = 0.02
 FREE_BASE_SLIP = 0.3
 FREE_BASE_OFTEN = 0.1
-FREE_BASE_HEIGHT = 0.01
 FREE_BASE_GRAVITY = 5.0
 FREE_BASE_RADIUS = 0.3
 FREE_BASE_SAMPLES = 20_000

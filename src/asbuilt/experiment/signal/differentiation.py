@@ -48,11 +48,7 @@ def savitzky_golay(
     the ends (Savitzky and Golay, Analytical Chemistry, 1964).
     """
     values = np.asarray(x, dtype=np.float64)
-    if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(
-            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
-            f" {0.5 * rate:g} Hz"
-        )
+    _check_cutoff(cutoff, rate)
     window = savitzky_golay_window(cutoff, rate, degree)
     if window > values.shape[0]:
         raise UsageError(
@@ -72,6 +68,14 @@ def savitzky_golay(
         for d in range(3)
     )
     return q, qd, qdd
+
+
+def _check_cutoff(cutoff: float, rate: float) -> None:
+    if not 0.0 < cutoff < 0.5 * rate:
+        raise UsageError(
+            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
+            f" {0.5 * rate:g} Hz"
+        )
 
 
 def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
@@ -95,11 +99,7 @@ def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array
     1979), so lambda follows from -3 dB at `cutoff` [Hz].
     """
     values = np.asarray(x, dtype=np.float64)
-    if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(
-            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
-            f" {0.5 * rate:g} Hz"
-        )
+    _check_cutoff(cutoff, rate)
     if values.shape[0] < 5:
         raise UsageError(f"a smoothing spline needs at least 5 samples, got {values.shape[0]}")
     # 1 / (1 + lambda w^4) is 1 / sqrt(2) at the cutoff.
