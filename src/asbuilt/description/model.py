@@ -292,7 +292,7 @@ class RobotModel:
 
         Raises `DescriptionError` where there is none that moves.
         """
-        moving = {each: place for each, place in self.places.items() if place[0] != ROOT}
+        moving = self.moving_places
         if name not in moving:
             raise DescriptionError(
                 f"{self.name} has no moving link or frame {name!r}; it has {', '.join(moving)}",
@@ -300,6 +300,11 @@ class RobotModel:
                 available=[*moving],
             )
         return moving[name]
+
+    @property
+    def moving_places(self) -> dict[str, tuple[int, Array]]:
+        """Link and pose (4, 4) in it by name, of the links and frames that move."""
+        return {name: place for name, place in self.places.items() if place[0] != ROOT}
 
     @property
     def places(self) -> dict[str, tuple[int, Array]]:
