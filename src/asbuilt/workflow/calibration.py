@@ -46,6 +46,7 @@ from asbuilt.identification.calibration.two_channels import (
 )
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import Prediction
+from asbuilt.scaled import find_column_space
 from asbuilt.tables import round_significant
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 from asbuilt.workflow.study import Study
@@ -415,7 +416,7 @@ def _fit_any_masses(
         columns=result.base.columns,
     ).reshape(len(samples.q), n, -1)
     weighted = samples.filtered(columns) * result.weights[:, None]
-    basis = _find_basis(weighted.reshape(-1, weighted.shape[2]))
+    basis = find_column_space(weighted.reshape(-1, weighted.shape[2]))
     logged, other = (
         _measure_remaining_error(torque * result.weights, basis)
         for torque in (arm.measured, changed)
@@ -437,15 +438,7 @@ def _build_body_torques(
         columns[:, :, i] = samples.filtered(
             inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
         )
-    return _find_basis((columns * result.weights[:, None]).reshape(-1, 10))
-
-
-def _find_basis(columns: Array) -> Array:
-    """Return an orthonormal basis (N, r) of the span of columns (N, m)."""
-    basis, lengths, _ = np.linalg.svd(columns, full_matrices=False)
-    # A body in a frame on an axis has directions without torque.
-    rounding = np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)
-    return np.asarray(basis[:, lengths > rounding])
+    return find_column_space((columns * result.weights[:, None]).reshape(-1, 10))
 
 
 def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array, str, Cure]]:

@@ -280,9 +280,7 @@ def _add_inertial(body: Element, inertia: LinkInertia, what: str) -> None:
             diaginertia=_format_numbers([FEATHER] * 3),
         )
         return
-    moments, axes = np.linalg.eigh(inertia.inertia_about_com)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0
+    moments, axes = inertia.principal_axes
     moments = np.maximum(moments, FEATHER)
     moments[0] = max(moments[0], moments[2] - moments[1])
     pose = {

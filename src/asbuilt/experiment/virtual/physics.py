@@ -172,9 +172,7 @@ class Physics:
                     f" {inertia.first_moment.tolist()} kg m; an engine places mass at a centre of"
                     " mass, so give the link some mass"
                 )
-            moments, axes = np.linalg.eigh(inertia.inertia_about_com)
-            if np.linalg.det(axes) < 0:
-                axes[:, 0] *= -1.0
+            moments, axes = inertia.principal_axes
             body = self.compiled.body(link.name)
             body.mass = inertia.mass
             body.ipos = inertia.com
