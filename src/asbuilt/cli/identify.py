@@ -206,7 +206,6 @@ def export(
     With --ensemble: many robots that the recordings allow, for domain randomization.
     """
     bare = files.urdf == Path()
-    identified = asbuilt.read_result(result)
     if ensemble is not None:
         given = find_given_options(files)
         refuse_idle(
@@ -215,6 +214,7 @@ def export(
         )
         if out is None:
             raise UsageError("an ensemble is a folder of files; name it with --out DIR")
+        identified = asbuilt.read_result(result)
         with sharing.open() as workers:
             drawn = asbuilt.draw_ensemble(identified, ensemble, rng=seed, workers=workers)
         written = asbuilt.write_ensemble(out, drawn, models="urdf" if bare else "mjcf", seed=seed)
@@ -224,5 +224,7 @@ def export(
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
-    exported = asbuilt.export_result(identified, **vars(files), simulators=parse_places(to))
+    places = parse_places(to)
+    identified = asbuilt.read_result(result)
+    exported = asbuilt.export_result(identified, **vars(files), simulators=places)
     answer(as_json, exported.as_document, exported.as_text)

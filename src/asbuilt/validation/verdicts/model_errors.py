@@ -122,18 +122,11 @@ def _read_finite_error(errors: RolloutErrors | None) -> float | None:
     return None if errors is None or errors.diverged else float(errors.rms_all)
 
 
-@dataclass(frozen=True, slots=True)
-class PoorPrediction:
-    """Say when a joint is predicted poorly; own choices.
-
-    Its error exceeds `error` times the identified model's error and `noticeable` of its torque.
-    """
-
-    error: float = 1.5
-    noticeable: float = 0.1
-
-
-POOR = PoorPrediction()
+POOR_ERROR = 1.5
+"""Error of a joint, in multiples of the identified model's, from which it is predicted poorly; own
+choice."""
+NOTICEABLE = 0.1
+"""Share of its torque below which such an error does not count; own choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,8 +151,8 @@ class NearestModel:
     @property
     def bad(self) -> tuple[int, ...]:
         """The joints, counted from 0, that the nearest model predicts poorly."""
-        poor = (self.nearest > POOR.error * self.identified) & (
-            self.nearest > POOR.noticeable * self.torque
+        poor = (self.nearest > POOR_ERROR * self.identified) & (
+            self.nearest > NOTICEABLE * self.torque
         )
         return tuple(np.flatnonzero(poor).tolist())
 

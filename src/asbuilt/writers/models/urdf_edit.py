@@ -165,8 +165,8 @@ def note_urdf_limits(model: RobotModel) -> tuple[str, ...]:
 
 
 def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> None:
-    def refuse(what: str) -> None:
-        raise DescriptionError(
+    def mismatch(what: str) -> DescriptionError:
+        return DescriptionError(
             f"{source} describes another robot than {model.name}: {what}",
             cure=Cure("give the URDF that the robot was identified with"),
             file=source,
@@ -189,11 +189,11 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
         ),
     ):
         if not same:
-            refuse(what)
+            raise mismatch(what)
     # Limits and friction may differ: they are what is identified.
     for there, here in zip(described.moving_joints, model.moving_joints, strict=True):
         if there.parent != here.parent or there.is_revolute != here.is_revolute:
-            refuse(
+            raise mismatch(
                 f"joint {here.name!r} is {there.kind} on link index {there.parent}, the model's"
                 f" {here.kind} on {here.parent}"
             )
@@ -203,7 +203,7 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
         )
         # Largest difference of placements [m, 1] in two descriptions of one robot.
         if off > 1e-9:
-            refuse(f"the placement of joint {here.name!r} differs by {off:.3g}")
+            raise mismatch(f"the placement of joint {here.name!r} differs by {off:.3g}")
 
 
 def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
