@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -28,7 +28,6 @@ from asbuilt.cli.answers import (
 from asbuilt.cli.arguments.options import (
     AS_IDENTIFIED,
     AsJson,
-    BaseOptions,
     Browser,
     Drive,
     FixedBase,
@@ -37,7 +36,6 @@ from asbuilt.cli.arguments.options import (
     Robot,
     RobotOrResult,
     is_result,
-    load_described_robot,
     load_robot_as_built,
     refuse_idle,
     require_writable_file,
@@ -45,7 +43,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.codec import format_json
-from asbuilt.description.load import bundled_robot, robot_names
+from asbuilt.description.load import BaseOptions, bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.experiment.logs.reading_options import parse_gravity
 from asbuilt.tables import stack_tables
@@ -69,7 +67,7 @@ def drives(full: Full = False, as_json: AsJson = False) -> None:
 def show(
     robot: RobotOrResult,
     *,
-    base_options: BaseOptions,
+    root: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -78,14 +76,14 @@ def show(
     For a result, it shows the robot as built, and CAD masses for comparison.
     """
     if not is_result(robot):
-        model = load_described_robot(robot, **asdict(base_options))
+        model = root.load_robot(robot)
         answer(
             as_json,
             lambda: writers.robot_document(model),
             lambda: writers.robot_text(model, full, describe_cure),
         )
         return
-    refuse_idle(AS_IDENTIFIED, find_given_options(base_options))
+    refuse_idle(AS_IDENTIFIED, find_given_options(root))
     result = asbuilt.read_result(Path(robot))
 
     model = writers.as_built(result).model
@@ -122,7 +120,7 @@ def base(
     robot: Robot,
     *,
     drive: Drive = None,
-    base_options: BaseOptions,
+    root: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -132,7 +130,7 @@ def base(
     """
     from asbuilt.dynamics.drives.torque import keep_driven_joints
 
-    model = load_described_robot(robot, **asdict(base_options))
+    model = root.load_robot(robot)
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
     found = asbuilt.find_base_parameters(model, keep_driven_joints(model, chosen))
     standard = writers.standard_table if full else writers.identifiability_table

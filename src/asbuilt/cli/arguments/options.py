@@ -10,14 +10,15 @@ from dataclasses import dataclass, replace
 from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 import asbuilt
 from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.ranges import Range, make_range_error, option, switch
+from asbuilt.description.load import HELD_BASE, BaseOptions
+from asbuilt.ranges import Range, make_range_error, option
 from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
@@ -65,23 +66,6 @@ class Sharing:
     def refuse(self, why: str) -> None:
         """Raise `UsageError`, saying why, if work that one process does is to be shared."""
         refuse_idle(why, find_given_options(self))
-
-
-HELD_BASE = "hold a free joint of the robot at its pose (a robot hung in the air)"
-"""Text of `--fixed-base`."""
-
-
-@dataclass(frozen=True)
-class BaseOptions:
-    """The options of how the base of a robot can move."""
-
-    fixed_base: bool = switch(False, HELD_BASE)
-    free_base: bool = switch(False, "the robot stands on no fixed root: legs, drones, satellites")
-    contacts: str | None = option(
-        None,
-        "FRAME,...",
-        "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
-    )
 
 
 def require_writable_folder(folder: Path | None) -> Path | None:
@@ -265,15 +249,15 @@ def parse_delay(text: str) -> float | tuple[float, ...] | Literal["auto"] | None
     return values[0] if len(values) == 1 else values
 
 
-def load_described_robot(robot: str, **of_base: Any) -> asbuilt.RobotModel:
-    """Return the robot that a name or a path describes, its base as `BaseOptions` say."""
-    return asbuilt.load_robot(robot, **asbuilt.ReadingOptions(**of_base).of_base)
+def load_described_robot(
+    robot: str, base: BaseOptions | None = None, *, fixed_base: bool = False
+) -> asbuilt.RobotModel:
+    """Return the robot that a name or a path describes, on a base as the options have it."""
+    return (base or BaseOptions(fixed_base=fixed_base)).load_robot(robot)
 
 
 AS_IDENTIFIED = "the robot of a result is taken as it was identified"
 """Why options that change a robot as described do not go with a result."""
-OF_DESCRIPTIONS = ("--lock", "--gravity", "--fixed-base", "--free-base", "--contacts")
-"""Options of reading that change the robot."""
 
 
 def is_result(path: str) -> bool:
@@ -345,8 +329,14 @@ def read_recordings_of_robot(
     model: asbuilt.RobotModel, logs: Sequence[Path] | None, reading: asbuilt.ReadingOptions
 ) -> list[asbuilt.Recording | RecordingStream]:
     """Return the recordings of an identified robot, none if no logs are given."""
-    given = find_given_options(reading)
-    refuse_idle(AS_IDENTIFIED, {option: given[option] for option in OF_DESCRIPTIONS})
+    refuse_idle(
+        AS_IDENTIFIED,
+        {
+            "--lock": reading.lock is not None,
+            "--gravity": reading.gravity is not None,
+            **find_given_options(reading.base),
+        },
+    )
     return asbuilt.as_recordings(model, logs or [], reading)  # type: ignore[return-value]
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from asbuilt.description.load import CONTACTS, HELD_BASE, BaseOptions
 from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
@@ -21,6 +22,8 @@ from asbuilt.ranges import Range, check_choice, check_ranges, make_range_error, 
 from asbuilt.registry import divide_settings
 
 PathLike = str | Path
+OF_BASE = tuple(entry.name for entry in fields(BaseOptions))
+"""Options that concern the base of the robot."""
 
 
 def _parse_numbers(text: str) -> tuple[float, ...]:
@@ -208,19 +211,13 @@ class ReadingOptions:
         "limit of the speed of the servo's goal [rad/s], one or each",
         parse=parse_servo_numbers,
     )
-    fixed_base: bool = switch(
-        False, "hold a free joint of the robot at its pose (a robot hung in the air)"
-    )
+    fixed_base: bool = switch(False, HELD_BASE)
     free_base: bool = switch(
         False,
         "the robot stands on no fixed root: legs, drones, satellites; the log has its"
         " pose (base_x ..) or an inertial sensor (imu_wx .., imu_ax ..)",
     )
-    contacts: str | None = option(
-        None,
-        "FRAME,...",
-        "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
-    )
+    contacts: str | None = option(None, "FRAME,...", CONTACTS)
 
     @property
     def windows(self) -> tuple[tuple[float, float], ...]:
@@ -235,13 +232,9 @@ class ReadingOptions:
         return sheet.model_copy(update={"windows": windows})
 
     @property
-    def of_base(self) -> dict[str, Any]:
-        """What `load_robot` takes of the base of the robot, by name."""
-        return {
-            "fixed_base": self.fixed_base,
-            "base": "free" if self.free_base else "fixed",
-            "contacts": self.contacts or "",
-        }
+    def base(self) -> BaseOptions:
+        """The options that concern the base of the robot."""
+        return BaseOptions(**{name: getattr(self, name) for name in OF_BASE})
 
     def __post_init__(self) -> None:
         if self.torque_source is not None:
