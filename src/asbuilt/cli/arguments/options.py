@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -140,16 +140,14 @@ FixedBase = Annotated[
 OUT = ("--out", "-o")
 
 
-def out_folder(text: str = "folder for the files to write") -> typer.models.OptionInfo:
+def out_folder(text: str = "folder for the files to write") -> Any:
     """Return the option that names the folder of the files of a command."""
-    return typer.Option(*OUT, metavar="DIR", help=text, callback=require_writable_folder)  # type: ignore[no-any-return]
+    return typer.Option(*OUT, metavar="DIR", help=text, callback=require_writable_folder)
 
 
-def written_file(*names: str, metavar: str = "FILE", text: str) -> typer.models.OptionInfo:
+def written_file(*names: str, metavar: str = "FILE", text: str) -> Any:
     """Return the option that names a file to write, `--out` without another name."""
-    return typer.Option(  # type: ignore[no-any-return]
-        *(names or OUT), metavar=metavar, help=text, callback=require_writable_file
-    )
+    return typer.Option(*(names or OUT), metavar=metavar, help=text, callback=require_writable_file)
 
 
 Out = Annotated[Path | None, out_folder()]
