@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,6 +88,8 @@ class Fit:
     findings: tuple[Finding, ...]
     omitted: OmittedBias | None = None
     of_kind: Callable[[str], Fit] | None = None
+    derived: dict[Any, Any] = field(default_factory=dict, init=False)
+    """What results of it remember: any change of the fit begins anew."""
 
     @property
     def base(self) -> BaseParameters:
@@ -96,7 +98,10 @@ class Fit:
 
     def alone(self) -> Fit:
         """Return the fit without what other kinds would need, which takes memory."""
-        return replace(self, of_kind=None, estimate=replace(self.estimate, of_kind=None))
+        found = replace(self, of_kind=None, estimate=replace(self.estimate, of_kind=None))
+        # The values and their errors are the same.
+        found.derived.update(self.derived)
+        return found
 
     def without(self, sources: Collection[str], undetermined: Undetermined) -> Array | None:
         """Return the base parameters (p,) without some recordings, from the block factors alone.
@@ -175,7 +180,7 @@ class Fit:
             omitted=self.omitted,
             findings=self.findings,
             **further,
-        )
+        ).remembering(self.derived)
 
 
 def identify_samples(
