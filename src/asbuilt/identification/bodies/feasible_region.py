@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import linprog
 from scipy.special import chdtri
 
 from asbuilt.arrays import Array
@@ -159,6 +158,8 @@ class FeasibleRegion:
         linear program. The first names are parameters that the quantity does not have, the second
         its own, which alone have no effect on the torques if there are no first ones.
         """
+        from scipy.optimize import linprog  # noqa: PLC0415 - light start
+
         scales = self._scales
         n = len(value)
         size = np.linalg.norm(self._seen, axis=1)

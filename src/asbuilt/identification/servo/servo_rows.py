@@ -8,7 +8,6 @@ from functools import cached_property
 from itertools import groupby
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.codec import store_as
@@ -296,6 +295,8 @@ def refine_minimum(
     costs: Callable[[float], Array], best: float, ratio: float, tolerance: float
 ) -> float:
     """Return the positive value of least cost within a ratio of the best that was tried."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
+
     minimum = minimize_scalar(
         # The logarithm: widths, limits and stiffnesses have a size, and no sign.
         lambda x: float(np.sum(costs(float(np.exp(x))))),
