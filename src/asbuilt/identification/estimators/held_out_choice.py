@@ -7,9 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.distance import cdist
 from scipy.special import stdtrit
 
 from asbuilt.arrays import Array, Indices
@@ -337,6 +335,8 @@ def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS)
     """Return blocks of information (B, p, p) and so many samples (B,) in groups of like motion."""
     if len(grams) <= 2:
         return group_neighbours(len(grams))
+    from scipy.cluster.hierarchy import fcluster, linkage  # noqa: PLC0415 - light start
+
     length = np.sqrt(np.diag(grams.sum(axis=0)))
     # Equal torque per parameter: a distance between informations then has no units.
     scale = np.where(length > 0.0, length, 1.0) / np.sqrt(n_samples.sum())
@@ -347,6 +347,8 @@ def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS)
     every = -(-len(grams) // MOST_SORTED)
     group = fcluster(linkage(features[::every], "ward"), most, "maxclust")
     if every > 1:
+        from scipy.spatial.distance import cdist  # noqa: PLC0415 - light start
+
         means = np.array([features[::every][group == k].mean(axis=0) for k in np.unique(group)])
         group = np.argmin(cdist(features, means), axis=1)
     return [np.flatnonzero(group == each) for each in np.unique(group)]

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -126,6 +125,8 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
         return 0.0
     before = _thin_states(q, qd)
     after = _thin_states(*_stack_states([held_out]))
+    from scipy.spatial import KDTree  # noqa: PLC0415 - light start
+
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
     distance, _ = tree.query(
         (after / np.where(moving, size, 1.0))[:, moving],
