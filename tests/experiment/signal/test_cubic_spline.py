@@ -12,7 +12,7 @@ from asbuilt.experiment.signal.cubic_spline import CubicSpline
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 60])
-@pytest.mark.parametrize("derivative", [0, 1])
+@pytest.mark.parametrize("derivative", [0, 1, 2, 3])
 def test_splines_are_those_of_scipy(count, derivative):
     rng = np.random.default_rng(count)
     times = np.cumsum(rng.uniform(0.5, 1.5, count))

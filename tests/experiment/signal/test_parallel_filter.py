@@ -84,7 +84,6 @@ def test_what_would_alias_is_refused_with_a_cure():
 
 @pytest.mark.parametrize(("cutoff", "rate"), [(3.0, 93.7), (5.0, 1000.0), (27.0, 100.0)])
 def test_corner_is_the_root_that_brent_finds(cutoff, rate):
-    """The response at the cutoff is half the power, and the digits are those of SciPy's `brentq`."""
     found = design_parallel_filter(cutoff, rate)
     half = len(found.taps) // 2
     k = np.arange(-half, half + 1)

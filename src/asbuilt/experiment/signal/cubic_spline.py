@@ -43,14 +43,19 @@ class CubicSpline:
         return cls(times, np.array(coefficients))
 
     def __call__(self, at: Array, derivative: int = 0) -> Array:
-        """Return the values at some times (M,), or their `derivative` of order 1, (M, n)."""
+        """Return the values at some times (M,), or their derivative, up to the third, (M, n)."""
         interval = np.searchsorted(self.times, at, side="right") - 1
         interval = np.clip(interval, 0, len(self.times) - 2)
         d = (at - self.times[interval])[:, None]
         x0, x1, x2, x3 = self.coefficients[:, interval]
+        # Powers in ascending order: the digits are SciPy's.
         if derivative == 0:
             return np.asarray(x0 + x1 * d + x2 * d**2 + x3 * (d * d * d))
-        return np.asarray(x1 + x2 * d * 2.0 + x3 * (d * d) * 3.0)
+        if derivative == 1:
+            return np.asarray(x1 + x2 * d * 2.0 + x3 * (d * d) * 3.0)
+        if derivative == 2:
+            return np.asarray(x2 * 2.0 + x3 * d * 6.0)
+        return np.asarray(x3 * 6.0)
 
 
 def _find_rates(times: Array, step: Array, slope: Array) -> Array:
