@@ -1,9 +1,9 @@
 """What `asbuilt excite` designs for the bundled robots in 10, 20 and 40 s, and what recorded
 motions were worth beside that; Markdown, also in out/designs.md.
 
-    python benchmarks/designs.py --time-limit 24 --data ../shared
+    python benchmarks/designs.py --data ../shared
     python benchmarks/designs.py --only ur10e --only scara
-    python benchmarks/run.py designs --time-limit 24
+    python benchmarks/run.py designs
 
 Recordings are read from the folder given; where it is absent the second table is left out.
 """
@@ -72,7 +72,7 @@ RECORDED = {
 
 def measure(
     data: Path = SHARED,
-    time_limit: float = 24.0,
+    time_limit: float | None = None,
     only: tuple[str, ...] = (),
     out: Path = Path("out/designs.md"),
 ) -> dict[str, float | str]:
@@ -86,8 +86,9 @@ def measure(
         print(lines[-1], flush=True)
         out.write_text("\n".join(lines) + "\n")
 
+    limit = "" if time_limit is None else f" --time-limit {time_limit:g}"
     say(
-        f"Fourier series as `asbuilt excite ROBOT --duration S --time-limit {time_limit:g}` designs"
+        f"Fourier series as `asbuilt excite ROBOT --duration S{limit}` designs"
         " them: viscous, Coulomb and offset for every joint, noise 1 N m (N),"
     )
     say(
@@ -155,7 +156,11 @@ def measure(
 
 
 def _beside_recordings(
-    data: Path, time_limit: float, only: tuple[str, ...], scratch: Path, say: Callable[..., None]
+    data: Path,
+    time_limit: float | None,
+    only: tuple[str, ...],
+    scratch: Path,
+    say: Callable[..., None],
 ) -> dict[str, float | str]:
     """Say what recorded motions are worth, and what is designed for the same robot and duration."""
     numbers: dict[str, float | str] = {}
@@ -256,7 +261,7 @@ if __name__ == "__main__":
     parser.add_argument(
         "--data", type=Path, default=SHARED, help="folder with data/ and models/ in it"
     )
-    parser.add_argument("--time-limit", type=float, default=24.0, help="time for each design [s]")
+    parser.add_argument("--time-limit", type=float, help="longest time for each design [s]")
     parser.add_argument(
         "--only",
         action="append",

@@ -168,7 +168,7 @@ def measure_fixed(number: int) -> dict[str, Any]:
         errors["random"].append([length, attempt(model, part, tests)])
     for length in LENGTHS["excite"]:
         options = DesignOptions(
-            duration=length, starts=6, time_limit=20.0, seed=number,
+            duration=length, starts=6, seed=number,
             periods=None if length <= REPEATED else round(length / REPEATED),
         )  # fmt: skip
         try:
@@ -239,7 +239,7 @@ def measure_weighing(number: int, options: RunOptions) -> dict[str, Any]:
         ]
     weighed["excite"] = []
     for length in WEIGHED:
-        design = DesignOptions(duration=length, starts=6, time_limit=20.0, seed=number)
+        design = DesignOptions(duration=length, starts=6, seed=number)
         motion = asbuilt.design_motion(model, design, with_bound=False, cores=1).motion
         recording = robot.record(motion, number + 2).recording
         weighed["excite"].append(weigh(length, learn(model, recording)))

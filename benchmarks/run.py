@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument(
         "--time-limit",
         type=float,
-        help="what each design in the table of designs may take [s] (default: 24)",
+        help="what each design in the table of designs may take [s] (default: no limit)",
     )
     parser.add_argument("names", nargs="*", help="benchmarks to run (default: all)")
     arguments = parser.parse_args()

@@ -71,7 +71,7 @@ def tutorial(folder: Path) -> None:
         "simulate ur10e --preset lab -o log.csv",
         "identify ur10e log.csv -o study",
         "compare study/result.json -o comparison",
-        "excite ur10e --given study/result.json --starts 2 --time-limit 60 -o motion.csv",
+        "excite ur10e --given study/result.json --starts 2 -o motion.csv",
         "view ur10e motion.csv --save motion.webp",
     ):
         run(folder, line)

@@ -20,7 +20,7 @@ model = asbuilt.load_robot("kuka-iiwa7-r800")
 with tempfile.TemporaryDirectory() as folder:
     cell = Path(folder) / "cell.toml"
     cell.write_text(CELL)
-    options = asbuilt.DesignOptions(size=5, starts=2, time_limit=8.0, collision=str(cell))
+    options = asbuilt.DesignOptions(size=5, starts=2, collision=str(cell))
     design = asbuilt.design_motion(model, options)
 print(design)
 assert design.collision_distance >= 0.0

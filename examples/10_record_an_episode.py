@@ -26,7 +26,7 @@ parser.add_argument("--out", type=Path, default=Path(tempfile.mkdtemp()) / "epis
 given, _ = parser.parse_known_args()
 
 model = asbuilt.load_robot("so-101")
-options = asbuilt.DesignOptions(duration=DURATION, fraction=0.5, starts=1, time_limit=10.0)
+options = asbuilt.DesignOptions(duration=DURATION, fraction=0.5, starts=1)
 motion = asbuilt.design_motion(model, options).motion
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -25,6 +26,11 @@ def shared() -> Path:
 
 
 INSTALLED = Path(__file__).resolve().parents[1] / "src" / "asbuilt" / "apps"
+
+
+def pytest_collection_finish() -> None:
+    """Spare the collector the thousands of tests and all modules, which stay to the end."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

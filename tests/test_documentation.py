@@ -144,7 +144,7 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 LONG = ("design_motion(", "MeshPart(", "link_masses(")
 """Calls that take minutes or need meshes; they are tested elsewhere."""
-STUDIES = ("fleet_identify(", "write_report(")
+STUDIES = ("fleet_identify(", "write_report(", "Loop(")
 """Calls that take seconds."""
 
 

@@ -163,12 +163,13 @@ def report_delays(
     ]
     if not late:
         return ()
-    # One recording needs no name.
-    several = len(recordings) > 1
-    names = [recording.source.rpartition("/")[2] if several else "" for recording in late]
-    listed = ", ".join(
-        f"{name} {recording.text}".strip() for name, recording in zip(names, late, strict=True)
-    )
+    is_early = all(recording.estimate < 0.0 for recording in late)
+    texts = [recording.text.removeprefix("-" if is_early else "") for recording in late]
+    listed = texts[0]
+    # What all recordings share needs no name.
+    if len(late) < len(recordings) or len(set(texts)) > 1:
+        names = [recording.source.rpartition("/")[2] for recording in late]
+        listed = ", ".join(f"{text} in {name}" for text, name in zip(texts, names, strict=True))
     shift = np.zeros(1) if moved is None else moved
     errors = np.nan_to_num(result.std_errors, nan=np.inf)
     # A parameter without an error has no bias in errors.
@@ -190,8 +191,9 @@ def report_delays(
         Finding(
             "torque_delayed",
             "warning" if cost and sure else "info",
-            f"Torques {'are' if sure else 'may be'} late against positions by {listed}{joints};"
-            f" they were shifted back{cost}",
+            f"Torques {'are' if sure else 'may be'} {'early' if is_early else 'late'} against"
+            f" positions by {listed}{joints};"
+            f" they were shifted {'on' if is_early else 'back'}{cost}",
             Cure(
                 "log both at the same instants, or state the delay", settings={"delay": "SECONDS"}
             ),

@@ -354,7 +354,7 @@ def _drop_needless_effects(
                 validated = fitted(prepared.training, choice, kind, known=validated)
             else:
                 validated = final
-            # Of a servo's commands no torque is known that could test.
+            # Torques that were computed cannot test.
             test = LeftOut.of(validated, prepared) if source.is_measured else None
             needless = set() if test is None else test.list_harmful(effects.found)
             # Once: what was left out decides between kinds of fits, and then has decided.

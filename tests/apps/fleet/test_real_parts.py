@@ -16,8 +16,6 @@ import pytest
 from asbuilt.apps.fleet import FleetOptions, add_logs, fleet_identify, fleet_overview
 from fleet_logs import MODEL, content_of, write_logs
 
-distributed = pytest.importorskip("distributed")
-pytest.importorskip("s3fs")
 HERE = FleetOptions(workers=0)
 
 
@@ -38,6 +36,7 @@ def test_a_cluster_writes_the_same_ledger_though_a_worker_is_killed(
     filled: Path, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Paths are relative to a folder that is not that of the workers."""
+    distributed = pytest.importorskip("distributed")
     ledger = tmp_path / "ledger"
     with distributed.LocalCluster(
         n_workers=2,

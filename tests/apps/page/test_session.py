@@ -183,6 +183,28 @@ def test_an_answer_to_an_older_question_is_none_to_the_present_one(
     assert session.find_answer("another key") is None
 
 
+def test_files_of_a_run_without_an_answer_are_not_those_of_the_last(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CannedWorker, "severity", "info")
+    settle(session)
+    session.run("identify")
+    settle(session)
+    assert session.as_document()["steps"]["identify"]["kept"]
+    before = session.result.read_text()
+    worker: Any = session._worker
+    worker.may_answer.clear()
+    session.run("identify", {"options": "--method wls"})
+    session.cancel()  # the worker writes its last file all the same
+    deadline = time.monotonic() + PATIENCE
+    while session.result.read_text() in ("", before) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    session.choose({"options": ""})
+    told = session.as_document()["steps"]["identify"]
+    assert not told["kept"]
+    assert not told["current"]
+
+
 def test_a_step_that_reads_ends_when_its_question_is_old(session: Session) -> None:
     worker: Any = session._worker
     worker.may_answer.clear()

@@ -16,15 +16,15 @@ from command_line import documented_fields
 from shown_numbers import missing
 
 README = Path(__file__).resolve().parents[3] / "README.md"
-TOLERANCE = 0.5
-"""Of the numbers that README.md shows, whose motion was searched for fifteen times as long."""
+TOLERANCE = 0.05
+"""Of the numbers that README.md shows: other libraries round otherwise, and end elsewhere."""
 
 pytestmark = pytest.mark.study
 
 
 @pytest.fixture(scope="module")
 def story(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    return run_demo(tmp_path_factory.mktemp("demo"), search_seconds=1.0)
+    return run_demo(tmp_path_factory.mktemp("demo"))
 
 
 def test_designed_motion_keeps_the_limits_and_determines_every_parameter(story: Demo) -> None:
@@ -76,12 +76,8 @@ def test_the_readme_shows_this_screen(story: Demo) -> None:
         if each.startswith("kuka-iiwa7-r800 with")
     )
     shown, printed = (
-        # How long the search was, and with it the motion and which consistent fit is chosen.
-        re.sub(
-            r"by (entropic|consistent) from \d+ samples",
-            "by a fit from so many samples",
-            re.sub(r"motion in \d+ s", "motion in so many s", text),
-        )
+        # How long the search takes is the machine's.
+        re.sub(r"motion in \d+ s", "motion in so many s", text)
         for text in (block.partition("\n...")[0], describe_demo(story))
     )
     lacking = missing(shown, printed, TOLERANCE)

@@ -116,8 +116,6 @@ def test_excite_writes_programs_beside_the_motion(
         "2",
         "--starts",
         "1",
-        "--time-limit",
-        "1",
         "--drive",
         "none",
     ]

@@ -26,7 +26,6 @@ from asbuilt.dynamics.base.regrouping_relations import (
 )
 
 pin = pytest.importorskip("pinocchio")
-sympy = pytest.importorskip("sympy")
 
 OF_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
 """Places of `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m` in Pinocchio's dynamic parameters."""
@@ -90,6 +89,7 @@ ROWS = np.array([[2, 0, 1, 4, 0], [1, 3, 0, -1, 0], [3, 3, 1, 3, 0], [0, 0, 0, 0
 
 @pytest.mark.parametrize("size", [1.0, 1e7])
 def test_spans_are_those_of_exact_numbers(size: float):
+    sympy = pytest.importorskip("sympy")
     exact = sympy.Matrix(ROWS.tolist())
     rows, kernel = size * ROWS, np.array(exact.nullspace(), dtype=float).reshape(-1, 5)
     span, null = row_space(rows), null_space(rows)
@@ -115,6 +115,7 @@ def test_noise_relative_to_the_largest_row_is_no_direction_and_less_noise_is_one
 
 @pytest.mark.parametrize("size", [1.0, 1e-13, 1e9])
 def test_the_reversed_echelon_form_is_that_of_exact_numbers(size: float):
+    sympy = pytest.importorskip("sympy")
     reduced, pivots = sympy.Matrix(ROWS[:, ::-1].tolist()).rref()
     echelon, columns = reversed_echelon(size * ROWS[:3])
     assert columns.tolist() == [4 - pivot for pivot in pivots]

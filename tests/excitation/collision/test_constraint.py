@@ -141,7 +141,7 @@ def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
     )
     model = load_robot("kuka-iiwa7-r800")
     constraints = build_constraints(model, collision=str(cell))
-    options = DesignOptions(duration=6.0, size=4, starts=1, time_limit=4.0, drive="none")
+    options = DesignOptions(duration=4.0, size=2, starts=1, drive="none")
     design = design_motion(model, options, constraints=constraints, with_bound=False, cores=1)
     standing = design_static_poses(model, 4, constraints=constraints)
     for written in (design_text(design), design_text(standing)):
@@ -153,11 +153,11 @@ def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
 def test_a_design_keeps_clear_and_in_the_box(guard) -> None:
     model, watch = guard
     box = ToolBox(model, np.array([-0.7, -0.7, 0.0]), np.array([0.7, 0.7, 1.2]))
-    options = DesignOptions(duration=8.0, size=4, starts=2, time_limit=5.0, drive="viscous")
+    options = DesignOptions(duration=4.0, size=3, starts=1, drive="viscous")
     design = design_motion(model, options, constraints=(watch, box), with_bound=False)
     assert design.collision_distance >= 0.03 - 1e-6
-    assert watch.smallest_distance(design.motion.at(np.linspace(0, 8, 5001))[0]) >= 0.03 - 1e-4
-    q = design.motion.at(np.linspace(0, 8, 5001))[0]
+    assert watch.smallest_distance(design.motion.at(np.linspace(0, 4, 5001))[0]) >= 0.03 - 1e-4
+    q = design.motion.at(np.linspace(0, 4, 5001))[0]
     poses = link_poses(model, q)[:, -1]
     flange = next(frame for frame in model.frames if frame.name == "flange").placement[:3, 3]
     tool = poses[:, :3, :3] @ flange + poses[:, :3, 3]

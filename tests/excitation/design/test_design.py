@@ -22,10 +22,11 @@ from asbuilt.excitation import (
 from asbuilt.excitation.design.design import choose_size
 from asbuilt.excitation.design.designed_motion import locate_base_parameter
 from asbuilt.excitation.design.multistart import Candidate, Deadline, search_all
+from asbuilt.excitation.design.search import Task, share_iterations
 from asbuilt.writers import design_text
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
-QUICK = DesignOptions(duration=8.0, size=4, starts=2, time_limit=60.0)
+QUICK = DesignOptions(duration=8.0, size=4, starts=2)
 
 
 def log_det_of(model, motion, drive=DRIVE) -> float:
@@ -46,7 +47,7 @@ def arm():
 def alone(arm):
     """The design of a whole population on one core."""
     model, _ = arm
-    options = replace(QUICK, starts=24, time_limit=600.0)
+    options = replace(QUICK, starts=24)
     return design_motion(model, options, cores=1, with_bound=False)
 
 
@@ -68,7 +69,7 @@ def test_a_design_beats_fifty_random_motions(arm) -> None:
 )
 def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> None:
     model = load_robot(robot)
-    options = DesignOptions(duration=8.0, size=4, starts=1, time_limit=20.0)
+    options = DesignOptions(duration=8.0, size=4, starts=1)
     motion = design_motion(model, options, with_bound=False).motion
     bounds = MotionBounds.assumed(model, 0.95)
     t = np.linspace(0, motion.duration, 13001)
@@ -338,6 +339,27 @@ def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) ->
     assert all(0 <= state.share <= 1 for state in told)
     assert not design.interrupted
     assert design.limits.is_respected
+
+
+def test_a_slow_machine_finds_the_same_motion(arm, monkeypatch) -> None:
+    """Minutes pass whenever the search looks at the clock: counts end it, no time does."""
+    model, design = arm
+    clock = itertools.count(step=100.0)
+    monkeypatch.setattr("asbuilt.excitation.design.multistart.time.monotonic", lambda: next(clock))
+    late = design_motion(model, QUICK, with_bound=False, cores=1)
+    assert late.solve_seconds > 1000.0
+    assert late.candidates == design.candidates
+    t = np.linspace(0.0, 8.0, 50)
+    assert np.array_equal(late.motion.at(t), design.motion.at(t))
+
+
+def test_large_robots_get_fewer_searches_of_the_same_work() -> None:
+    tasks = [Task(number) for number in range(8)]
+    assert [task.iterations for task in share_iterations(tasks, 10**6)] == [400] * 8
+    assert [task.iterations for task in share_iterations(tasks, 800)] == [100] * 8
+    assert [task.iterations for task in share_iterations(tasks, 200)] == [66] * 3
+    # Something must be found.
+    assert [task.number for task in share_iterations(tasks, 0)] == [0]
 
 
 @pytest.mark.study

@@ -96,9 +96,7 @@ def test_the_weight_is_gravity_by_pinocchio() -> None:
 @pytest.mark.study
 def test_poses_are_designed_for_a_robot_that_hardly_carries_itself() -> None:
     model = weakened("ur10e", 0.3)
-    options = DesignOptions(
-        parametrisation="point-to-point", duration=5.0, size=6, starts=2, time_limit=20.0
-    )
+    options = DesignOptions(parametrisation="point-to-point", duration=5.0, size=6, starts=2)
     motion = design_motion(model, options, with_bound=False, cores=1).motion
     other = pinocchio_model(model)
     data = other.createData()

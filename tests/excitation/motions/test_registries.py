@@ -94,7 +94,7 @@ def test_a_family_and_a_format_from_outside_run_from_the_command_line(
 ) -> None:
     path = os.pathsep.join([str(site), *sys.path])
     arguments = ["excite", "two-link", "--parametrisation", "mirrored", "--harmonics", "5"]
-    arguments += ["--duration", "6", "--starts", "1", "--time-limit", "20", "--program", "json"]
+    arguments += ["--duration", "6", "--starts", "1", "--program", "json"]
     run = subprocess.run(
         [sys.executable, "-m", "asbuilt", *arguments, "--no-report", "--json"],
         capture_output=True,

@@ -93,6 +93,45 @@ def test_recordings_have_delays_of_their_own():
     assert estimate.applied.tolist()[::2] == [True, True]
 
 
+def test_recordings_of_one_logger_share_a_delay_that_is_known_better():
+    logs = [recorded(seed, 0.004, seconds=15.0) for seed in (11, 12, 13, 14)]
+    shared = found(*logs)
+    alone = found(logs[0])
+    assert len(set(shared.estimates)) == 1
+    assert abs(shared.estimates[0] - 0.004) < 3.0 * shared.std_errors[0]
+    # Four times the data: half the error, but for what friction that lags would add.
+    assert shared.std_errors[0] < 0.75 * alone.std_errors[0]
+
+
+def test_errors_of_parameters_count_a_shared_delay_once():
+    """Recordings that share a delay move together: more of them do not average its error away."""
+    logs = [recorded(seed, 0.010, seconds=15.0) for seed in (7, 8)]
+    chain = replace(resolve_chain(SignalChain(), *logs), delay=0.010)
+    samples = [prepare_samples(log, chain) for log in logs]
+    added = {}
+    for name, errors in (("shared", (1e-3, 1e-3)), ("apart", (1e-3, 1.0000001e-3))):
+        stated = [
+            replace(batch, delay_errors=(error,))
+            for batch, error in zip(samples, errors, strict=True)
+        ]
+        fit = fit_samples(MODEL, stated, drive=DRIVE, method="wls")
+        added[name] = np.sqrt(np.diag(fit.delay.covariance))
+    late = [
+        fit_samples(
+            MODEL,
+            [prepare_samples(log, replace(chain, delay=d)) for log in logs],
+            drive=DRIVE,
+            method="wls",
+        ).estimate.beta
+        for d in (0.009, 0.011)
+    ]
+    moved = 0.5 * np.abs(late[1] - late[0])
+    big = moved > 0.05 * moved.max()
+    np.testing.assert_allclose(added["shared"][big], moved[big], rtol=0.15)
+    # Two delays of one error each would add the root of two such shares.
+    assert np.median(added["apart"][big] / added["shared"][big]) < 0.95
+
+
 def test_friction_that_lags_is_no_delay():
     log = recorded(5, seconds=60.0)
     late = recorded(5, 0.030, seconds=60.0)
@@ -115,11 +154,18 @@ def test_friction_that_lags_is_no_delay():
 
 
 @pytest.mark.parametrize(
-    ("error", "helps", "applied"),
-    [(0.004, None, True), (0.004, False, True), (0.02, False, False), (0.02, True, True)],
+    ("error", "certain", "helps", "applied"),
+    [
+        (0.004, True, None, True),
+        (0.004, True, False, True),
+        (0.02, False, False, False),
+        (0.02, False, True, True),
+    ],
 )
-def test_an_uncertain_delay_is_applied_only_if_it_helps(error, helps, applied):
-    estimate = DelayEstimate(np.array([0.05]), np.array([error]), 0.0, 0.0, helps=helps)
+def test_an_uncertain_delay_is_applied_only_if_it_helps(error, certain, helps, applied):
+    estimate = DelayEstimate(
+        np.array([0.05]), np.array([error]), 0.0, 0.0, np.array([certain]), helps=helps
+    )
     assert estimate.applied.tolist() == [applied]
     assert not replace(estimate, estimates=np.array([1.9 * error])).applied.any()
 

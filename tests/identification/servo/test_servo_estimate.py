@@ -9,7 +9,7 @@ from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.dynamics.drives.position_servo import read_described_servo
 from asbuilt.experiment import Recording, SignalChain, prepare_samples, resolve_chain
-from asbuilt.experiment.command.servo_torque import drive_by_command, hold_command
+from asbuilt.experiment.command.torque import drive_by_command, hold_command
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors
@@ -201,17 +201,28 @@ def sought(recording):
     return estimated(recording, servo)
 
 
+@pytest.fixture(scope="module")
+def limited():
+    return limited_recording(20.0)
+
+
 @pytest.mark.study
-def test_a_limit_of_the_goal_is_found_and_counts():
-    recording = limited_recording(20.0)
-    found = sought(recording)
+def test_a_limit_of_the_goal_is_found_and_counts(limited):
+    found = sought(limited)
     assert found.servo.goal_acceleration == pytest.approx((20.0,) * 3, rel=0.05)
     assert found.errors.goal_sought == (True,) * 3
     assert 0.0 < found.errors.goal_acceleration < 2.0
     assert np.mean([block.start > 5.0 for block in found.goals[0].acts]) > 0.9
-    ignored = estimated(recording, unknown(KP))
+    ignored = estimated(limited, unknown(KP))
     assert abs(found.servo.delay) < 2e-3 < abs(ignored.servo.delay)
     assert found.of_recording(0) == found.servo
+
+
+@pytest.mark.study
+def test_a_limit_of_the_goal_does_not_hang_on_the_last_digits_of_a_recording(limited):
+    last = 1e-12 * np.random.default_rng(1).normal(size=limited.q.shape)
+    as_read = sought(dataclasses.replace(limited, q=limited.q + last)).servo
+    assert as_read.goal_acceleration == pytest.approx(sought(limited).servo.goal_acceleration)
 
 
 @pytest.mark.study

@@ -48,7 +48,8 @@ Progress = Callable[[str, float], None]
 ROBOT = "kuka-iiwa7-r800"
 SEED = 7
 DRIVE = "viscous,coulomb,offset"
-SEARCH_SECONDS = 15.0
+STARTS = 12
+"""Random starts of the design; those of 48 have 0.7 % more efficiency and take twice as long."""
 GRIPPER = LinkInertia.from_com(1.2, [0.01, -0.01, 0.07], np.diag([0.004, 0.0035, 0.0015]))
 """Body at the flange of the virtual robot that its description lacks."""
 
@@ -73,9 +74,7 @@ class Demo:
     seconds: float
 
 
-def run_demo(
-    folder: Path, *, progress: Progress | None = None, search_seconds: float = SEARCH_SECONDS
-) -> Demo:
+def run_demo(folder: Path, *, progress: Progress | None = None) -> Demo:
     """Run the demonstration and write its files below a folder.
 
     Parameters
@@ -84,8 +83,6 @@ def run_demo(
         Where the files go.
     progress
         Called with the name of each step and the fraction done.
-    search_seconds
-        Time limit of the design [s].
 
     Returns
     -------
@@ -103,9 +100,7 @@ def run_demo(
     report("design a motion", 0.0)
     design = design_motion(
         model,
-        DesignOptions(
-            size=5, duration=20.0, drive=str(drive), seed=SEED, time_limit=search_seconds
-        ),
+        DesignOptions(size=5, duration=20.0, drive=str(drive), seed=SEED, starts=STARTS),
         progress=searched,
     )
     report("record the robot", 0.0)

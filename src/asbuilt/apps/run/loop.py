@@ -272,8 +272,6 @@ def _advise(last: Round) -> str:
 
 STARTS = 6
 """Random starts of a design; the best of six has 95 % of the information of the best of 96."""
-TIME_LIMIT = 20.0
-"""Time of a design [s]; the starts end before it, so that the motion is the same everywhere."""
 FREQUENCY = 0.25
 """Highest frequency of random motions [Hz], as of `random_fourier` by default."""
 ATTEMPTS = 20
@@ -312,7 +310,6 @@ def design_round(
         fraction=options.speed if number == 1 else options.fraction,
         collision=options.collision,
         starts=STARTS,
-        time_limit=TIME_LIMIT,
         seed=options.seed + number,
     )
     if study is None:

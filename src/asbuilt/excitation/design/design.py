@@ -13,7 +13,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
-from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters, inverse_dynamics
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
@@ -27,8 +26,8 @@ from asbuilt.excitation.design.designed_motion import (
     describe_design,
     locate_base_parameter,
 )
-from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
-from asbuilt.excitation.design.search import DesignSearch, Task
+from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool
+from asbuilt.excitation.design.search import DesignSearch
 from asbuilt.excitation.information.information import (
     AOptimality,
     Criterion,
@@ -50,7 +49,6 @@ Progress = Callable[[SearchProgress], None]
 
 DESIGN_BOUNDS = 0.25  # Share of the time limit that the bounds may take; they converge slowly
 DESIGN_REFINEMENT = 0.15  # Share that the search leaves to the refinement of its best optima
-DESIGN_REFINED = 4  # Number of best local optima refined on the dense grid
 DESIGN_AFTER_INTERRUPT = 2.0  # Time for refinement after a keyboard interrupt [s]
 DESIGN_POOL_FROM = 24  # Random starts from which on a process pool saves more than its start costs
 DESIGN_OTHER_DURATION = 0.1  # Relative deviation from the wanted duration that is reported
@@ -85,9 +83,10 @@ def design_fixed(
     )
     # Compilation would take the time of the search.
     _compile(information)
-    whole = Deadline(options.time_limit)
-    reserve = DESIGN_REFINEMENT * options.time_limit
-    deadline = Deadline(options.time_limit - reserve)
+    limit = options.longest
+    whole = Deadline(limit)
+    reserve = DESIGN_REFINEMENT * limit
+    deadline = Deadline((1.0 - DESIGN_REFINEMENT) * limit)
     search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
     # Starting processes takes longer than few searches.
     others = (cores or count_cores()) - 1 if options.starts >= DESIGN_POOL_FROM else 0
@@ -99,15 +98,13 @@ def design_fixed(
         candidates = search.run(pool, progress)
         if not candidates:
             raise search.failure()
-        left = max(options.time_limit - whole.elapsed, reserve)
+        left = max(limit - whole.elapsed, reserve)
         # After an interrupt the best is still made to hold its limits, quickly.
         final = Deadline(DESIGN_AFTER_INTERRUPT if deadline.interrupted else left)
         report = (
             None if progress is None else partial(_report_refinement, progress, candidates[0].value)
         )
-        # Local optima of nearly equal value: refined, another one may be best.
-        tasks = [Task(found.number, found, final) for found in candidates[:DESIGN_REFINED]]
-        refined = search_all(tasks, search.search, final, pool=pool, progress=report)
+        refined = search.refine(candidates, final, pool, report)
     if not refined:
         raise MotionError(
             f"{model.name}: the motions found violate a limit between the nodes of the search; "
@@ -161,7 +158,7 @@ def design_bounds(
     torque = options.torque_fraction * MotionBounds.of(model).torque
     # Band-limited families have a second bound, of states that they can reach.
     count = 1 + family.band_limited
-    begun = Deadline(DESIGN_BOUNDS * options.time_limit)
+    begun = Deadline(DESIGN_BOUNDS * options.longest)
 
     def bound_within(limits: MotionBounds, number: int) -> InformationBound:
         if progress is not None:
@@ -250,9 +247,7 @@ DURATION_LONGEST = 1800.0
 DURATION_LONGEST_PERIOD = 40.0  # Duration from which on a Fourier series repeats [s]
 DURATION_STEP = 5.0  # Durations are multiples of this [s]
 DURATION_TRIALS = 8  # Durations tried at most; errors fall with the square root, so few are needed
-# DURATION_STARTS, DURATION_TIME_LIMIT: random starts and time [s] of a trial
-DURATION_STARTS = 6
-DURATION_TIME_LIMIT = 5.0
+DURATION_STARTS = 6  # Random starts of a trial
 
 
 def design_for_precision(
@@ -265,8 +260,8 @@ def design_for_precision(
 ) -> Design:
     """Return a design just long enough for `Design.precision` to be at most `options.precision`.
 
-    Errors fall with the square root of the duration, which gives the next duration to try. The time
-    limit of the options holds for the last design. A keyboard interrupt ends the trials and returns
+    Errors fall with the square root of the duration, which gives the next duration to try. A time
+    limit of the options holds for each design. A keyboard interrupt ends the trials and returns
     the motion of that moment. `given` are further parameters of `design_fixed`.
 
     Raises
@@ -279,11 +274,7 @@ def design_for_precision(
     wanted_precision = options.precision
     for _ in range(DURATION_TRIALS):
         wanted = _set_duration(options, duration)
-        quick = replace(
-            wanted,
-            starts=min(DURATION_STARTS, options.starts),
-            time_limit=min(DURATION_TIME_LIMIT, options.time_limit),
-        )
+        quick = replace(wanted, starts=min(DURATION_STARTS, options.starts))
         report = None if progress is None else partial(_report_trial, progress, duration)
         # A trial shows precision; efficiency is asked of the last design alone.
         design = design_fixed(model, base, quick, progress=report, **{**given, "with_bound": False})
@@ -366,7 +357,7 @@ def design_motion(
     robot
         Robot, name of a bundled robot, or path of a description.
     options
-        Configuration; its time limit covers bounds, search and refinement.
+        Configuration; a time limit covers bounds, search and refinement.
     base
         Base parameters to determine; by default with the drive terms `options.drive`.
     prior
@@ -409,9 +400,7 @@ def design_motion(
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     refuse_open_postures(model)
-    refuse_free_base(
-        model.name,
-        model.n_floating,
+    model.require_root(
         "a motion on which it keeps its balance is not designed; squat, twist the trunk and lift"
         " single legs",
     )

@@ -97,11 +97,15 @@ def _run(work: Callable[[object], object], task: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Coefficients and value of a local optimum; the value is minus infinity if none was found."""
+    """Coefficients and value of a local optimum; the value is minus infinity if none was found.
+
+    `iterations` are those of its search.
+    """
 
     number: int
     coefficients: Array
     value: float
+    iterations: int = 0
 
     @classmethod
     def of(cls, number: int, optimum: Optimum | None) -> Candidate:
@@ -109,7 +113,7 @@ class Candidate:
         return (
             cls(number, np.zeros((0, 0)), -np.inf)
             if optimum is None
-            else cls(number, optimum.coefficients, optimum.value)
+            else cls(number, optimum.coefficients, optimum.value, optimum.iterations)
         )
 
 

@@ -60,6 +60,15 @@ SEARCH_DISTURBANCE = (0.1, 0.5)  # Fraction of the way to a random motion that a
 # SEARCH_REPAIRS, SEARCH_SHRINKAGE: attempts to hold the limits at 1 kHz; least and most shrinking
 SEARCH_REPAIRS = 12
 SEARCH_SHRINKAGE = (0.005, 0.3)
+SEARCH_ITERATIONS = 400  # Most iterations of a local search; those of arms end after 5 to 25
+# Fewest iterations for which a local search is worth its start
+SEARCH_FEWEST_ITERATIONS = 60
+# Work of all searches for each random start, in nodes times joints times parameters: some 1.2 s,
+# of which arms of seven joints need a fifth. Robots of 30 joints get fewer searches by it.
+SEARCH_WORK = 4e7
+SEARCH_REFINED = 4  # Number of best local optima refined on the dense grid
+# Work of the refinement, in random starts; each of them makes some 100 iterations
+SEARCH_REFINED_STARTS = 8
 SEARCH_POSES = 200  # Random poses that show whether the robot is too heavy for its drives
 SEARCH_SHORTEST_MOVE = 0.1  # Least time of a move between two poses [s]
 
@@ -69,12 +78,23 @@ class Task:
     """Ask for search `number`: from a random start, or from one disturbing the optimum `origin`.
 
     With a deadline `refined_until`, `origin` itself is refined on a grid twice as dense and made to
-    hold the limits at 1 kHz.
+    hold the limits at 1 kHz. The search makes `iterations` at most.
     """
 
     number: int
     origin: Candidate | None = None
     refined_until: Deadline | None = None
+    iterations: int = SEARCH_ITERATIONS
+
+
+def share_iterations(tasks: list[Task], iterations: int) -> list[Task]:
+    """Return the first tasks for which so many iterations suffice, at least one, and their shares.
+
+    Shares depend on nothing that another machine would do otherwise.
+    """
+    count = min(len(tasks), max(1, iterations // SEARCH_FEWEST_ITERATIONS))
+    each = min(SEARCH_ITERATIONS, max(SEARCH_FEWEST_ITERATIONS, iterations // count))
+    return [replace(task, iterations=each) for task in tasks[:count]]
 
 
 class DesignSearch:
@@ -120,6 +140,10 @@ class DesignSearch:
         waves = SEARCH_NODES_PER_WAVE * family.span / family.shortest_wave
         self._n_nodes = max(SEARCH_LEAST_NODES, round(waves))
         self._coarse = self._build_program(self._n_nodes, SEARCH_MARGIN_COARSE)
+        # A count, and no time: a busy machine finds the same motion, later.
+        work = self._n_nodes * model.n_joints * objective.information.n_parameters
+        self._iterations = round(options.starts * SEARCH_WORK / work)
+        self._refinement = round(SEARCH_REFINED_STARTS * SEARCH_WORK / work)
 
     def _build_program(
         self, n_nodes: int, margin: tuple[float, float], family: Parametrisation | None = None
@@ -134,7 +158,7 @@ class DesignSearch:
         pool: SearchPool[Task, Candidate] | None,
         progress: Callable[[SearchProgress], None] | None,
     ) -> list[Candidate]:
-        """Return the candidates, best first, of all rounds for which there is time."""
+        """Return the candidates, best first, of all rounds for which work and time are left."""
         starts = self._options.starts
         batch = SEARCH_BATCH
         # Rounds end by themselves, so that a long search tries other regions.
@@ -145,8 +169,8 @@ class DesignSearch:
         found: list[Candidate] = []
         first = 0
         for size, length in zip(sizes, lengths, strict=True):
-            # Something must be found before the time may end the search.
-            if found and self._deadline():
+            # Something must be found before work or time may end the search.
+            if found and self._is_over:
                 break
             best = found[0].value if found else -np.inf
             report = partial(self._report, progress, best, sum(lengths))
@@ -169,22 +193,55 @@ class DesignSearch:
         """
         tasks = [Task(first + k) for k in range(size)]
         progress = partial(report, first, -np.inf)
-        found = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
+        found = self._search_tasks(tasks, pool, progress)
         idle = 0
         done = size
         batch = SEARCH_BATCH
-        while found and done < length and idle < SEARCH_IDLE_BATCHES and not self._deadline():
+        while found and done < length and idle < SEARCH_IDLE_BATCHES and not self._is_over:
             best = found[0].value
             parents = found[:SEARCH_PARENTS]
             # The best parents in turn, whatever the number of cores: results do not depend on it.
             tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
             progress = partial(report, first + done, best)
-            more = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
-            found = rank_candidates([*found, *more])
+            found = rank_candidates([*found, *self._search_tasks(tasks, pool, progress)])
             # One gain starts the patience anew.
             idle = idle + 1 if found[0].value < best + SEARCH_LEAST_GAIN else 0
             done += batch
         return found
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether no work is left for another search, or no time."""
+        return self._iterations < SEARCH_FEWEST_ITERATIONS or self._deadline()
+
+    def _search_tasks(
+        self,
+        tasks: list[Task],
+        pool: SearchPool[Task, Candidate] | None,
+        progress: Callable[[SearchProgress], None],
+    ) -> list[Candidate]:
+        """Return the candidates, best first, of the tasks for which there is work left."""
+        shared = share_iterations(tasks, self._iterations)
+        found = search_all(shared, self.search, self._deadline, pool=pool, progress=progress)
+        self._iterations -= sum(candidate.iterations for candidate in found)
+        return found
+
+    def refine(
+        self,
+        candidates: list[Candidate],
+        deadline: Deadline,
+        pool: SearchPool[Task, Candidate] | None,
+        progress: Callable[[SearchProgress], None] | None,
+    ) -> list[Candidate]:
+        """Return the best of the candidates refined, best first, with the work that is left.
+
+        Local optima are of nearly equal value: refined, another one may be best.
+        """
+        tasks = [Task(found.number, found, deadline) for found in candidates[:SEARCH_REFINED]]
+        # An iteration on twice as many nodes is twice the work.
+        left = max(self._iterations, 0) + self._refinement
+        shared = share_iterations(tasks, left // 2)
+        return search_all(shared, self.search, deadline, pool=pool, progress=progress)
 
     @staticmethod
     def _report(
@@ -204,12 +261,13 @@ class DesignSearch:
         """Return the candidate of a task, which depends on nothing else."""
         if task.refined_until is not None:
             assert task.origin is not None
-            return self._refine(task.origin, task.refined_until)
+            return self._refine(task.origin, task.refined_until, task.iterations)
         # By seed and number: a task gives the same anywhere.
         rng = np.random.default_rng([self._options.seed, task.number])
         if task.origin is not None:
-            return self._restart(task.number, rng, task.origin)
-        optimum = self._solve(self._coarse, self._draw_start(rng), SEARCH_BARRIER_RANDOM)
+            return self._restart(task, rng, task.origin)
+        start = self._draw_start(rng)
+        optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RANDOM, task.iterations)
         return Candidate.of(task.number, optimum)
 
     def _solve(
@@ -217,13 +275,17 @@ class DesignSearch:
         program: DesignProgram,
         start: Array | None,
         barrier: tuple[float, float],
+        iterations: int,
         deadline: Deadline | None = None,
     ) -> Optimum | None:
         if start is None:
             return None
-        return solve(program, start, barrier=barrier, cancelled=deadline or self._deadline)
+        cancelled = deadline or self._deadline
+        return solve(
+            program, start, barrier=barrier, most_iterations=iterations, cancelled=cancelled
+        )
 
-    def _restart(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
+    def _restart(self, task: Task, rng: np.random.Generator, parent: Candidate) -> Candidate:
         for _ in range(10):
             other = self._draw_start(rng)
             if other is None:
@@ -233,12 +295,12 @@ class DesignSearch:
             start = self._shrink_inside(
                 self._coarse, (1 - part) * parent.coefficients + part * other
             )
-            optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RESTART)
+            optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RESTART, task.iterations)
             if optimum is not None:
-                return Candidate.of(number, optimum)
-        return Candidate.of(number, None)
+                return Candidate.of(task.number, optimum)
+        return Candidate.of(task.number, None)
 
-    def _refine(self, candidate: Candidate, deadline: Deadline) -> Candidate:
+    def _refine(self, candidate: Candidate, deadline: Deadline, iterations: int) -> Candidate:
         coefficients = candidate.coefficients
         family = self.family
         value = candidate.value
@@ -247,7 +309,7 @@ class DesignSearch:
             family = self._retime(family, coefficients)
             dense = self._build_program(2 * self._n_nodes, SEARCH_MARGIN_FINE, family)
             start = self._shrink_inside(dense, coefficients)
-            optimum = self._solve(dense, start, SEARCH_BARRIER_REFINED, deadline)
+            optimum = self._solve(dense, start, SEARCH_BARRIER_REFINED, iterations, deadline)
             # An optimum that is worse on the dense grid was one of the coarse grid alone.
             if optimum is not None and (
                 optimum.value > value - 1.0 or isinstance(family, PointToPoint)

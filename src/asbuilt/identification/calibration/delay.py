@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.special import fdtrc
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
@@ -30,7 +30,11 @@ from asbuilt.identification.information.square_root_information import (
     reduce_rows,
 )
 from asbuilt.identification.statistics import estimate_mean_error
-from asbuilt.identification.uncertainty.delay_errors import DelayColumns, build_delay_columns
+from asbuilt.identification.uncertainty.delay_errors import (
+    DelayColumns,
+    DelaySolution,
+    build_delay_columns,
+)
 
 Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
@@ -129,7 +133,7 @@ class DelayRules:
     is late.
     """
     unequal: float = 1e-3
-    """Probability of equal joints below which they have delays of their own."""
+    """Probability of equal recordings, or joints, below which they have delays of their own."""
     of_one_joint: float = 3.0
     """Largest lag of friction of one joint, in the mean of all (own choice: 2.8 on the LWR4+)."""
     most_steps: int = 10
@@ -152,9 +156,12 @@ class DelayEstimate:
     Attributes
     ----------
     estimates, std_errors
-        One delay per recording [s], (R,); errors are infinite where a delay is undetermined.
+        One delay per recording [s], (R,), all the same unless recordings differ; errors are
+        infinite where a delay is undetermined.
     lag, lag_error
         How much later friction is than the other torques, mean over joints [s].
+    certain
+        Whether a recording alone would tell its delay to 5 ms, (R,).
     joint_estimates, joint_errors
         Delays of the joints [s], (R, n); None unless the recordings ask for them.
     helps
@@ -165,18 +172,16 @@ class DelayEstimate:
     std_errors: Array
     lag: float
     lag_error: float
+    certain: Mask
     joint_estimates: Array | None = None
     joint_errors: Array | None = None
     helps: bool | None = None
 
     @property
-    def applied(self) -> Array:
-        """Which delays are applied, (R,): those above 2 standard errors that are certain or help.
-
-        A delay is certain if its standard error is below 5 ms.
-        """
+    def applied(self) -> Mask:
+        """Which delays are applied, (R,): above 2 standard errors, and certain or helpful."""
         sure = np.abs(self.estimates) > RULES.significant * self.std_errors
-        return np.asarray(sure & ((self.std_errors < RULES.certain) | bool(self.helps)))
+        return np.asarray(sure & (self.certain | bool(self.helps)))
 
 
 def find_delays(
@@ -187,15 +192,15 @@ def find_delays(
     count: int,
     block_seconds: float | None = None,
 ) -> DelayEstimate:
-    """Estimate the delay of the torque of each recording, and of its joints if they differ.
+    """Estimate the delay of the torque: of recordings if they differ, and of joints if these do.
 
     The delay is a column `-d(W beta)/dt` of a weighted least squares fit of all recordings; torques
     are shifted by the estimate and the fit is repeated until it stays (Gauss-Newton). Friction that
     lags velocity (presliding, lubricant) looks like a delay, though rigid bodies do not lag. So the
     change of the delay if friction has a lag of its own counts as error. If that lag exceeds 2
-    standard errors, each joint has one, and the delay rests on rigid bodies alone. Delays with
-    standard errors of 5 ms or more are applied only if groups of different motion that are held
-    out in turn are predicted better.
+    standard errors, each joint has one, and the delay rests on rigid bodies alone. Delays that a
+    recording by itself tells to 5 ms at best are applied only if groups of different motion that
+    are held out in turn are predicted better.
 
     Parameters
     ----------
@@ -212,32 +217,49 @@ def find_delays(
     """
     fits = _Fits(model, prepare, drive, count, block_seconds)
     n = model.n_joints
-    # All joints of a recording share one delay.
-    common = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
-    lags = _build_friction_shares(count, n)
+    # All joints of a recording share one delay, and all recordings unless they differ.
+    each = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
+    common = each.sum(axis=2, keepdims=True)
     together, columns = fits.settle(np.zeros(count), common)
+    if count > 1 and not _are_alike(columns.solve(each)):
+        common = each
+        together, columns = fits.settle(together, common)
+    lags = _build_friction_shares(count, n)
+    m = common.shape[2]
     delays = together
-    std_errors = columns.solve(common).std_errors
+    further = np.zeros((count, 2 * n, 0))
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
-    std_errors = np.hypot(std_errors, mean_lag.increments[:count])
+    moved = mean_lag.increments[:m]
     if abs(mean_lag.increments[-1]) > RULES.significant * mean_lag.std_errors[-1]:
-        whole = np.concatenate([common, lags], axis=2)
-        delays, columns = fits.settle(together, whole)
-        std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
+        further = lags
+        delays, columns = fits.settle(together, np.concatenate([common, further], axis=2), m)
+        moved = (delays - together)[:m]
+    std_errors, alone = (
+        np.hypot(
+            columns.solve(np.concatenate([shares, further], axis=2)).std_errors[: shares.shape[2]],
+            moved,
+        )
+        for shares in (common, each)
+    )
+    std_errors = np.broadcast_to(std_errors, (count,))
+    # Many recordings do not average away what imitates a delay: what one could say alone counts.
+    certain = alone < RULES.certain
+    if m < count:
+        certain = np.full(count, np.median(alone) < RULES.certain)
     std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
     lag = float(mean_lag.increments[-1])
     lag_error = float(mean_lag.std_errors[-1])
     of_joints = _estimate_joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error)
     if of_joints is None:
         sure = np.abs(delays) > RULES.significant * std_errors
-        doubtful = np.any(sure & (std_errors >= RULES.certain))
+        doubtful = np.any(sure & ~certain)
         shifts = np.where(sure, delays, 0.0)
     else:
         doubtful = np.median(of_joints[1]) >= RULES.certain
         shifts = of_joints[0]
     helps = fits.predict_better(shifts) if doubtful else None
     joints, errors = (None, None) if of_joints is None or helps is False else of_joints
-    return DelayEstimate(delays, std_errors, lag, lag_error, joints, errors, helps)
+    return DelayEstimate(delays, std_errors, lag, lag_error, certain, joints, errors, helps)
 
 
 class _Fits:
@@ -306,12 +328,17 @@ class _Fits:
             rows=rows,
         )
 
-    def settle(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
-        """Return the delays (R,) after which the residual falls no further."""
+    def settle(
+        self, delays: Array, shares: Array, free: int | None = None
+    ) -> tuple[Array, DelayColumns]:
+        """Return the delays (R,) after which the residual falls no further.
+
+        The first `free` columns of the shares are delays, one or R; None: all.
+        """
         columns = self.columns(delays)
         ahead = FixedPoint()
         for _ in range(RULES.most_steps):
-            step = columns.increments(shares)[: self.count]
+            step = np.broadcast_to(columns.increments(shares)[:free], (self.count,))
             # Each step leaves up to 0.7 of the error: friction that lags bends what is left.
             step = ahead.advance(delays, delays + step) - delays
             step = np.clip(step, -self.longest, self.longest)
@@ -384,8 +411,19 @@ def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Arra
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)
 
 
+def _are_alike(solved: DelaySolution) -> bool:
+    """Return whether recordings may have one delay: one logger wrote them.
+
+    Delays found one by one are as many chances of a false one.
+    """
+    chance, _ = _test_equal_delays(
+        solved.increments[None], solved.std_errors[None], solved.n_blocks
+    )
+    return chance > RULES.unequal
+
+
 def _test_equal_delays(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
-    """Return the probability of such differences between joints, and the least of the largest."""
+    """Return the probability of such differences along rows, and the least of the largest."""
     weight = errors**-2.0
     total = weight.sum(axis=1, keepdims=True)
     freedom = int(np.count_nonzero(weight)) - len(delays)

@@ -17,7 +17,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, Samples, SignalChain, hold_out
-from asbuilt.experiment.command.servo_torque import (
+from asbuilt.experiment.command.torque import (
     CommandCurve,
     differentiate_logged_positions,
     drop_saturated,
@@ -291,20 +291,28 @@ def usual_variances(rows: Equations, joints: Indices) -> Array:
     return usual
 
 
+REFINEMENT = 4
+"""Intervals into which a refinement divides each side of the best value so far."""
+
+
 def refine_minimum(
     costs: Callable[[float], Array], best: float, ratio: float, tolerance: float
 ) -> float:
-    """Return the positive value of least cost within a ratio of the best that was tried."""
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
+    """Return the positive value of least cost within a ratio of the best that was tried.
 
-    minimum = minimize_scalar(
-        # The logarithm: widths, limits and stiffnesses have a size, and no sign.
-        lambda x: float(np.sum(costs(float(np.exp(x))))),
-        bounds=np.log(best) + np.log(ratio) * np.array([-1.0, 1.0]),
-        method="bounded",
-        options={"xatol": tolerance},
-    )
-    return float(np.exp(minimum.x))
+    Grids of the logarithm, each around the best of the one before, until their step is below the
+    tolerance. A goal that a limit delays is a rough function of the limit; an interpolation of it
+    would end elsewhere by the last digit of the recording.
+    """
+    width = float(np.log(ratio))
+    # Nearest first: of equal costs the value that was tried stays.
+    places = sorted(range(-REFINEMENT, REFINEMENT + 1), key=abs)
+    while width > tolerance:
+        step = width / REFINEMENT
+        grid = (best * np.exp(step * np.array(places))).tolist()
+        best = min(grid, key=lambda value: float(np.sum(costs(value))))
+        width = step
+    return best
 
 
 def logarithmic_error(costs: Callable[[float], Array], value: float, rows: Equations) -> float:
@@ -396,3 +404,17 @@ class ServoErrors:
     shared: bool = False
     scale: tuple[str, ...] = ()
     kd_unknown: tuple[bool, ...] = ()
+
+    @property
+    def condition(self) -> str:
+        """What estimates take as given of the servo, in a sentence; empty if its gains were given.
+
+        Its torque is known up to its stiffness, which CAD gives a scale if nothing else does:
+        bodies of another scale, with a stiffness of that scale, move alike.
+        """
+        if all(source == "given" for source in self.scale):
+            return ""
+        return (
+            "The stiffness of the servo is not given and takes its scale from CAD: all masses,"
+            " inertias and armatures may be larger or smaller by one common factor as well."
+        )

@@ -203,24 +203,29 @@ def estimate_delay_errors(
     An error is at least that with which the delay was estimated.
     """
     n = model.n_joints
-    free = [(r, k) for r, batch in enumerate(samples) for k in range(len(batch.delay_errors))]
+    # Recordings that were given one delay with one error share it.
+    free: dict[tuple[int, float, float], int] = {}
+    shared = list[tuple[int, int, int]]()
+    for r, batch in enumerate(samples):
+        for k, (delay, error) in enumerate(zip(batch.delay, batch.delay_errors, strict=False)):
+            shared.append((r, k, free.setdefault((k, delay, error), len(free))))
     if not free:
         return None
     shares = np.zeros((len(samples), 2 * n, len(free)))
-    for place, (r, k) in enumerate(free):
+    for r, k, place in shared:
         # One delay belongs to all joints of its recording; several are one a joint.
         joints = slice(n) if len(samples[r].delay_errors) == 1 else slice(k, k + 1)
         shares[r, joints, place] = 1.0
     columns = build_delay_columns(model, base, estimate, samples, block_seconds=block_seconds)
     solved = columns.solve(shares, textbook=textbook)
-    known = np.array([samples[r].delay_errors[k] for r, k in free])
+    applied, known = (np.array([key[part] for key in free]) for part in (1, 2))
     determined = np.isfinite(np.diag(solved.covariance))
     # Where the delay was estimated otherwise with a larger error, that one counts.
     swell = np.maximum(known[determined] / np.sqrt(np.diag(solved.covariance)[determined]), 1.0)
     V = solved.covariance[np.ix_(determined, determined)] * np.outer(swell, swell)
     follows = solved.follows[:, determined]
-    delays = np.array([samples[r].delay[k] for r, k in free])[determined]
-    return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(-follows @ delays))
+    covariance = np.asarray(follows @ V @ follows.T)
+    return DelayErrors(covariance, np.asarray(-follows @ applied[determined]))
 
 
 @use_one_blas_thread()
