@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,10 +65,16 @@ if TYPE_CHECKING:
 LOAD_MOST = 6
 LOAD_CONVERGENCE = 1e-4
 
+NOISE_TAKEN_AWAY = "What noise of the pose lends the parameters was taken away."
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Hold base parameters estimated from samples, before anything is predicted from them."""
+    """Hold base parameters estimated from samples, before anything is predicted from them.
+
+    `of_kind` gives the fit of another kind to the same equations, if the estimator chose among some
+    and has kept what it compared.
+    """
 
     model: RobotModel
     information: SquareRootInformation
@@ -81,11 +87,21 @@ class Fit:
     provenance: tuple[str, ...]
     findings: tuple[Finding, ...]
     omitted: OmittedBias | None = None
+    of_kind: Callable[[str], Fit] | None = None
+    derived: dict[Any, Any] = field(default_factory=dict, init=False)
+    """What results of it remember: any change of the fit begins anew."""
 
     @property
     def base(self) -> BaseParameters:
         """The base parameters."""
         return self.information.base
+
+    def alone(self) -> Fit:
+        """Return the fit without what other kinds would need, which takes memory."""
+        found = replace(self, of_kind=None, estimate=replace(self.estimate, of_kind=None))
+        # The values and their errors are the same.
+        found.derived.update(self.derived)
+        return found
 
     def without(self, sources: Collection[str], undetermined: Undetermined) -> Array | None:
         """Return the base parameters (p,) without some recordings, from the block factors alone.
@@ -164,7 +180,7 @@ class Fit:
             omitted=self.omitted,
             findings=self.findings,
             **further,
-        )
+        ).remembering(self.derived)
 
 
 def identify_samples(
@@ -255,7 +271,7 @@ def fit_samples(
     """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
     Scores that are expected of the true parameters are taken away (`expected`). Rows are shared
-    with others by `kept`. An estimator that chooses among kinds of fits takes `kind`.
+    with others by `kept`. An estimator that chooses among kinds of fits makes `kind` alone.
     """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
@@ -285,6 +301,7 @@ def fit_samples(
 
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
+        of_pose = of_pose if expected is not None else None
 
     def reduce(seen: SquareRootInformation, loading: RobotModel | None = None) -> EstimationData:
         less = () if expected is None else expected.torques(seen)
@@ -304,48 +321,95 @@ def fit_samples(
     data = reduce(seen)
     if base.drive.needs_load:
         data = _settle_own_load(data, lambda loading: reduce(accumulate(loading), loading))
-    information = data.information
-    estimate = estimator.estimate(data)
-    loading = set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model
-    textbook = errors == "textbook"
-    nonlinear = None
-    if fitted_nonlinear:
-        nonlinear = estimate_nonlinear_errors(
-            loading,
-            base,
-            estimate,
-            samples,
-            fitted_nonlinear,
-            textbook=textbook,
-            block_seconds=block_seconds,
-        )
-        estimate = replace(estimate, notes=(*estimate.notes, nonlinear.sentence(model.joint_names)))
-    delay = estimate_delay_errors(
-        loading, base, estimate, samples, textbook=textbook, block_seconds=block_seconds
+    conclusion = _Conclusion(
+        data, design, samples, errors, method, fitted_nonlinear, of_pose, fitted
     )
-    uncertainty = _estimate_uncertainty(information, estimate, errors, automatic=method == "auto")
-    if of_pose is not None and expected is not None:
-        estimate = replace(
+    return conclusion.of(estimator.estimate(data))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Conclusion:
+    """Conclude estimates from one set of equations: what else a fit holds is derived from them."""
+
+    data: EstimationData
+    design: Array
+    samples: Sequence[Samples]
+    errors: ErrorKind
+    method: str
+    fitted_nonlinear: Sequence[NonlinearPlace]
+    of_pose: PoseNoise | None
+    fitted: NonlinearFit | None
+
+    def of(self, estimate: Estimate) -> Fit:
+        """Return the fit of an estimate."""
+        model = self.data.model
+        own = self.fitted
+        first = self.samples[0]
+        of_kind = estimate.of_kind
+        nonlinear = self._estimate_nonlinear_errors(estimate)
+        if nonlinear is not None:
+            estimate = _with_note(estimate, nonlinear.sentence(model.joint_names))
+        delay = estimate_delay_errors(
+            self._find_loading(estimate),
+            self.data.base,
             estimate,
-            notes=(*estimate.notes, "What noise of the pose lends the parameters was taken away."),
+            self.samples,
+            textbook=self.errors == "textbook",
+            block_seconds=self.data.block_seconds,
         )
-        grown = uncertainty.covariance * np.outer(of_pose.growth, of_pose.growth)
-        grown += expected.doubt(information, estimate)
-        uncertainty = replace(uncertainty, covariance=grown)
-    first = samples[0]
-    provenance = tuple(dict.fromkeys(line for batch in samples for line in batch.provenance))
-    return Fit(
-        model=model,
-        information=information,
-        estimate=estimate,
-        uncertainty=uncertainty,
-        nonlinear=nonlinear,
-        delay=delay,
-        design=design,
-        rate=first.parallel.output_rate if first.parallel else first.rate,
-        provenance=provenance + (fitted.sentences(model.joint_names) if fitted else ()),
-        findings=fitted.findings(model.joint_names) if fitted else (),
-    )
+        uncertainty = self._estimate_uncertainty(estimate)
+        if self.of_pose is not None:
+            estimate = _with_note(estimate, NOISE_TAKEN_AWAY)
+        provenance = tuple(dict.fromkeys(line for each in self.samples for line in each.provenance))
+        return Fit(
+            model=model,
+            information=self.data.information,
+            estimate=estimate,
+            uncertainty=uncertainty,
+            nonlinear=nonlinear,
+            delay=delay,
+            design=self.design,
+            rate=first.parallel.output_rate if first.parallel else first.rate,
+            provenance=provenance + (own.sentences(model.joint_names) if own else ()),
+            findings=own.findings(model.joint_names) if own else (),
+            of_kind=None if of_kind is None else lambda kind: self.of(of_kind(kind)),
+        )
+
+    def _find_loading(self, estimate: Estimate) -> RobotModel:
+        """Return the robot whose torque loads friction."""
+        data = self.data
+        if not data.base.drive.needs_load:
+            return data.model
+        return set_link_parameters(data.model, data.base, estimate.beta)
+
+    def _estimate_nonlinear_errors(self, estimate: Estimate) -> NonlinearErrors | None:
+        if not self.fitted_nonlinear:
+            return None
+        return estimate_nonlinear_errors(
+            self._find_loading(estimate),
+            self.data.base,
+            estimate,
+            self.samples,
+            self.fitted_nonlinear,
+            textbook=self.errors == "textbook",
+            block_seconds=self.data.block_seconds,
+        )
+
+    def _estimate_uncertainty(self, estimate: Estimate) -> Uncertainty:
+        information = self.data.information
+        found = _estimate_uncertainty(
+            information, estimate, self.errors, automatic=self.method == "auto"
+        )
+        if self.of_pose is None or self.of_pose.scores is None:
+            return found
+        grown = found.covariance * np.outer(self.of_pose.growth, self.of_pose.growth)
+        grown += self.of_pose.scores.doubt(information, estimate)
+        return replace(found, covariance=grown)
+
+
+def _with_note(estimate: Estimate, note: str) -> Estimate:
+    """Return an estimate with a further note."""
+    return replace(estimate, notes=(*estimate.notes, note))
 
 
 def _estimate_uncertainty(

@@ -228,13 +228,20 @@ def _fit_all(
     kept = KeptRows()
     model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
+    def completed(fit: Fit, choice: DriveChoice) -> Fit:
+        return source.with_errors(replace(fit, provenance=(*fit.provenance, *choice.sentences)))
+
     def fitted(
         samples: Sequence[Samples],
         choice: DriveChoice,
         kind: str = "",
         drive: DriveSet | None = None,
+        known: Fit | None = None,
     ) -> Fit:
         terms = choice.drive if drive is None else drive
+        if known is not None and known.of_kind is not None:
+            # What the same samples say of all kinds has been computed.
+            return completed(known.of_kind(kind), choice)
         fit = fit_samples(
             model,
             samples,
@@ -249,8 +256,7 @@ def _fit_all(
             kept=kept,
             kind=kind,
         )
-        fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
-        return source.with_errors(fit)
+        return completed(fit, choice)
 
     if options.refine is None or parts is None:
         settled = _drop_needless_effects(fitted, prepared, source, choice, effects)
@@ -293,7 +299,10 @@ def _fit_all(
 
 
 class _FitOfChoice(Protocol):
-    """Fit samples with the drive terms of a choice, or with others, by a kind of fit."""
+    """Fit samples with the drive terms of a choice, or with others, by a kind of fit.
+
+    A fit of the same samples and terms that is `known` has computed what its other kinds need.
+    """
 
     def __call__(
         self,
@@ -301,6 +310,7 @@ class _FitOfChoice(Protocol):
         choice: DriveChoice,
         kind: str = "",
         drive: DriveSet | None = None,
+        known: Fit | None = None,
     ) -> Fit:
         """Return the fit."""
 
@@ -331,14 +341,19 @@ def _drop_needless_effects(
     """
     kind = ""
     needed = set[tuple[str, str]]()
+    final: Fit | None = None
+    validated: Fit | None = None
     while True:
         final = _with_omitted_bias(
-            fitted(prepared.whole or prepared.training, choice, kind), effects
+            fitted(prepared.whole or prepared.training, choice, kind, known=final), effects
         )
         needless = _list_unsure(final, effects)
         if not needless:
             # A second fit only where the final one sees what validation is to predict.
-            validated = fitted(prepared.training, choice, kind) if prepared.whole else final
+            if prepared.whole:
+                validated = fitted(prepared.training, choice, kind, known=validated)
+            else:
+                validated = final
             # Torques that were computed cannot test.
             test = LeftOut.of(validated, prepared) if source.is_measured else None
             needless = set() if test is None else test.list_harmful(effects.found)
@@ -348,13 +363,19 @@ def _drop_needless_effects(
                 if kind:
                     continue
             if not needless and source.is_measured:
-                refit = partial(fitted, prepared.training, choice, kind)
+                # Like is compared with like, and one kind of fit takes less time than all.
+                own = kind or validated.estimate.kind
+                refit = partial(fitted, prepared.training, choice, own)
                 find_test = partial(_find_test, validated, prepared, test)
                 needless = _find_unshown(final, effects, needed, find_test, refit)
             if not needless:
-                return _Settled(final, validated, choice, effects, kind)
+                alone = final.alone()
+                other = alone if validated is final else validated.alone()
+                return _Settled(alone, other, choice, effects, kind)
         effects = effects.without(needless)
         choice = choice.without(needless, final.model.joint_names)
+        final = None
+        validated = None
 
 
 def _with_omitted_bias(fit: Fit, effects: Effects) -> Fit:

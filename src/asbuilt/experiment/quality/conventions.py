@@ -9,7 +9,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.quality.passes import position_limits
@@ -207,6 +206,7 @@ def check_zeros(
 
 def _find_zero(cost: Callable[[Array], float], zeros: Array, moved: Mask) -> Array:
     """Return zeros (n,) whose `moved` joints have the one common zero that costs least."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
 
     def with_zero(zero: float) -> Array:
         return np.where(moved, zero, zeros)
@@ -224,6 +224,8 @@ def _refine_zeros(cost: Callable[[Array], float], zeros: Array) -> Array:
     moved = np.flatnonzero(zeros)
     if not moved.size:
         return zeros
+
+    from scipy.optimize import minimize  # noqa: PLC0415 - light start
 
     def with_zeros(values: Array) -> Array:
         changed = zeros.copy()

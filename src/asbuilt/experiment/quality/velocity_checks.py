@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion, normalise_columns
 from asbuilt.findings import Cure, Finding, join_names
@@ -45,13 +44,7 @@ def check_velocities(
             )
         return
     correlation = normalise_columns(logged[:, moving]).T @ normalise_columns(slope[:, moving])
-    # One assignment of all columns: pairs alone would miss a cycle.
-    swapped = [
-        (int(moving[a]), int(moving[b]))
-        for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
-        # The own correlation must be poor as well: joints that move in step correlate with all.
-        if a != b and correlation[a, b] > SWAPPED and correlation[a, a] < OWN
-    ]
+    swapped = _list_swapped(correlation, moving)
     if swapped:
         pairs = join_names(
             [f"the velocity of {names[a]} belongs to {names[b]}" for a, b in swapped]
@@ -219,3 +212,18 @@ def _check_ends(
             joint=statistics.first.joint_names[k],
             time=statistics.clock.first if name == "first" else statistics.clock.last - end,
         )
+
+
+def _list_swapped(correlation: Array, moving: Indices) -> list[tuple[int, int]]:
+    """Return joints whose velocity is that of another: correlations (m, m) of moving ones (m,)."""
+    # The own correlation must be poor: joints that move in step correlate with all.
+    if np.all(np.diag(correlation) >= OWN):
+        return []
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
+
+    # One assignment of all columns: pairs alone would miss a cycle.
+    return [
+        (int(moving[a]), int(moving[b]))
+        for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
+        if a != b and correlation[a, b] > SWAPPED and correlation[a, a] < OWN
+    ]

@@ -16,12 +16,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.ndimage import uniform_filter1d
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.signal.resampling import UniformSegment
@@ -129,7 +128,7 @@ def estimate_noise_limit(
     inertia = _estimate_squared_inertia(frequency, position, acceleration, torque)
     white = np.median(position[frequency > NOISE_FROM * rate], axis=0)
     # Smoothed, since single bins of a spectrum scatter by their own size.
-    clear = uniform_filter1d(position, SMOOTHED, axis=0) > ABOVE_NOISE * white
+    clear = _smooth(position, "symmetric") > ABOVE_NOISE * white
     # Of joints without any torque: those of a base that floats.
     free = clear[frequency >= LOWEST].any(axis=0) & ~torque.any(axis=0)
     torque = np.where(free, clear * np.clip(acceleration - w**4 * white, 0.0, None), torque)
@@ -241,6 +240,13 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     return float(max(frequency[reached.max()], 1.0 / WINDOW))
 
 
+def _smooth(spectra: Array, ends: Literal["symmetric", "edge"]) -> Array:
+    """Return the mean of spectra (F, n) over `SMOOTHED` bins, continued at the ends."""
+    half = SMOOTHED // 2
+    continued = np.pad(spectra, ((half, half), (0, 0)), ends)
+    return np.asarray(sliding_window_view(continued, SMOOTHED, axis=0).mean(axis=-1))
+
+
 def _mark_noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     """Return which bins (F, n) of velocity spectra are noise; `cycles` (F,) are per sample."""
     # White positions, differenced: a spectrum of sin^2.
@@ -251,7 +257,7 @@ def _mark_noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     )
     # Share of the velocity's power from which white noise of the positions is allowed for.
     noisy = noise.sum(axis=0) > 0.01 * total.sum(axis=0)
-    smooth = uniform_filter1d(total, SMOOTHED, axis=0, mode="nearest")
+    smooth = _smooth(total, "edge")
     # The last bin that stands out of the noise; beyond it nothing is motion.
     last = np.where(smooth > ABOVE_NOISE * noise, np.arange(len(cycles))[:, None], 0).max(axis=0)
     return np.asarray(noisy & (np.arange(len(cycles))[:, None] > last))
@@ -362,7 +368,7 @@ def power_density(
         some = parts[:, first : first + at_once]
         if centred:
             some = some - some.mean(axis=-1, keepdims=True)
-        transform = fft.rfft(some * weights, axis=-1)
+        transform = np.fft.rfft(some * weights, axis=-1)
         power += np.sum(transform.real**2 + transform.imag**2, axis=1)
     power /= parts.shape[1] * rate * np.sum(weights**2)
     # One-sided: all but the mean, and half the rate where there is one, stand for two.

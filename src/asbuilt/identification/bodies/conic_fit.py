@@ -9,7 +9,6 @@ import clarabel
 import numpy as np
 from scipy import sparse
 from scipy.linalg import lapack, solve_triangular
-from scipy.optimize import nnls
 
 from asbuilt.arrays import Array
 from asbuilt.errors import IdentifiabilityError
@@ -332,6 +331,8 @@ class ConicProblem:
         # Violations of the bounds by the unconstrained minimum.
         broken = -(self.margin + u @ slopes)
         if np.any(broken > 0.0):
+            from scipy.optimize import nnls  # noqa: PLC0415 - light start
+
             goal = np.append(np.zeros(len(u)), 1.0)
             both = np.vstack([slopes, broken])
             error = both @ nnls(both, goal)[0] - goal

@@ -46,6 +46,7 @@ class EntropicPath:
         self._problem = EntropicProblem(prior, Coordinates.of(base), bounds)
         self._start = _find_inside(prior, bounds)
         self._reached: dict[float, EntropicFits] = {}
+        self._factors: Array | None = None
 
     def fit_descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
@@ -53,6 +54,9 @@ class EntropicPath:
         fits = dict[float, Array]()
         # Through all stronger weights, as links may lie far from CAD.
         for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
+            if factors is self._factors and weight in self._reached:
+                fits[weight] = self._reached[weight].chi
+                continue
             with suppress(IdentifiabilityError):
                 fits[weight] = self.fit_roughly(factors, weight)
         return {weight: fit for weight, fit in fits.items() if weight in wanted}
@@ -62,6 +66,7 @@ class EntropicPath:
         # The last stronger weight that converged is the nearest start.
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
+        self._factors = factors
         # Squared distance from the minimum, in squared standard errors, at which a rough fit ends.
         self._reached[weight] = self._problem.fit(
             factors, weight, start, barrier=barrier, close=1e-3

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.optimize import linprog
 from scipy.special import chdtri
 
 from asbuilt.arrays import Array
@@ -160,6 +159,8 @@ class FeasibleRegion:
         linear program. The first names are parameters that the quantity does not have, the second
         its own, which alone have no effect on the torques if there are no first ones.
         """
+        from scipy.optimize import linprog  # noqa: PLC0415 - light start
+
         scales = self._scales
         n = len(value)
         unseen = self._unseen

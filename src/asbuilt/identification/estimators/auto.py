@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -84,6 +84,7 @@ MOST_COSTLY = 3
 
 
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
+BETTER_LEFT_OUT = "predicts the motion left out better than what was chosen without it"
 CURE = Cure("check gains, description and what acts on the robot that the model lacks")
 
 
@@ -108,8 +109,8 @@ def estimate_auto(data: EstimationData) -> Estimate:
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
     do not converge are left out. Without CAD masses the candidates are `consistent` and the values
-    of step 1. Step 2 is left out if undetermined directions are refused. With `data.kind`
-    a candidate of that kind is chosen.
+    of step 1. Step 2 is left out if undetermined directions are refused. With `data.kind` the
+    candidate of that kind is fitted, and no other, if there is one.
     """
     estimate = estimate_wls(data)
     reasons = []
@@ -124,14 +125,23 @@ def estimate_auto(data: EstimationData) -> Estimate:
                 f" of one joint is {ratio:.3g} times the robust variance"
             )
     if data.undetermined == "refuse":
-        reasons.append(f"{estimate.method}: undetermined directions are refused, not set from CAD")
-        notes: tuple[str, ...] = ()
-    else:
-        estimate, why, notes = _choose_closest_to_cad(data, estimate)
-        reasons.append(why)
-    return replace(
-        estimate, notes=(f"Chosen automatically: {'; '.join(reasons)}.", *notes, *estimate.notes)
-    )
+        why = f"{estimate.method}: undetermined directions are refused, not set from CAD"
+        return _with_reasons(estimate, (*reasons, why))
+    choose = _prepare_choice(data, estimate)
+
+    def choose_kind(kind: str) -> Estimate:
+        chosen, why, notes = choose(kind)
+        return replace(_with_reasons(chosen, (*reasons, why), notes), of_kind=choose_kind)
+
+    return choose_kind(data.kind)
+
+
+def _with_reasons(
+    estimate: Estimate, reasons: Sequence[str], notes: tuple[str, ...] = ()
+) -> Estimate:
+    """Return an estimate whose first note says why it was chosen."""
+    first = f"Chosen automatically: {'; '.join(reasons)}."
+    return replace(estimate, notes=(first, *notes, *estimate.notes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,11 +173,13 @@ class _Candidates:
         return (f"Left out, since the fit did not converge: {', '.join(self.failed)}",)
 
 
+Chosen = tuple[Estimate, str, tuple[str, ...]]
+"""An estimate, why it was chosen, and notes."""
+
+
 @use_one_blas_thread()
-def _choose_closest_to_cad(
-    data: EstimationData, free: Estimate
-) -> tuple[Estimate, str, tuple[str, ...]]:
-    """Return the chosen candidate, why it was chosen, and notes."""
+def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Chosen]:
+    """Return what chooses among all candidates, or those of a kind, as often as it is asked."""
     information = free.information or data.information
     prior = with_drive_scale(build_cad_prior(data.model, data.base.drive), information)
     # All candidates have one prior of the drives, so that they differ by CAD of the links alone.
@@ -175,21 +187,26 @@ def _choose_closest_to_cad(
     try:
         consistent = fit_consistent(information, prior)
     except AsbuiltError as problem:
-        return free, f"{free.method}: the consistent fit failed ({problem})", ()
+        failed = free, f"{free.method}: the consistent fit failed ({problem})", ()
+        return lambda _: failed
     effect = design_effect(information, consistent)
     masses = data.model.has_masses
     weights = [effect * belief for belief in SELECTION_BELIEFS] if masses else []
+    only = _fit_kind_alone(data, prior, free, consistent, weights) if data.kind else None
+    if only is not None:
+        return lambda _: only
     folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
     parts = [(used.together(), held.together()) for used, held in folds]
     if len(parts) < SELECTION_FEWEST_FOLDS:
-        return _fit_usual_weight(data, prior, free, consistent)
+        usual = _fit_usual_weight(data, prior, free, consistent)
+        return lambda _: usual
     candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
     rates = None if data.samples is None else measure_recorded_rates(data.samples)
     motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
     # Rows are sample-major, so the weights of the joints repeat.
     motion *= np.resize(consistent.weights, len(motion))[:, None]
     free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
-    return _choose_converging(
+    return _Chooser(
         data,
         prior,
         free,
@@ -202,9 +219,37 @@ def _choose_closest_to_cad(
             prior_information(information, prior),
             motion,
             effect * free_energy / information.n_rows,
-            data.kind,
         ),
-    )
+    ).choose
+
+
+def _fit_kind_alone(
+    data: EstimationData,
+    prior: CadPrior,
+    free: Estimate,
+    consistent: ConsistentEstimate,
+    weights: list[float],
+) -> Chosen | None:
+    """Return the fit of the kind that is asked for, compared with no other; None if there is none.
+
+    Motion that was left out has decided for it, or it is compared with a fit of its kind.
+    """
+    information = free.information or data.information
+    fits: dict[str, Callable[[], Estimate]] = {
+        free.method: lambda: free,
+        consistent.method: lambda: consistent,
+    }
+    if weights and data.kind not in fits:
+        near_cad = _fit_toward_cad(information, prior, consistent, weights)
+        fits |= {each.kind: each.fit for each in near_cad.known if each.fit}
+    if data.kind not in fits:
+        return None
+    try:
+        fit = fits[data.kind]()
+    except AsbuiltError:
+        return None
+    why = f"{data.kind} {BETTER_LEFT_OUT}"
+    return _conclude_choice(data, prior, free, replace(fit, kind=data.kind), why, ())
 
 
 def _with_drive_prior(
@@ -265,40 +310,16 @@ def _fit_candidates(
     parts: list[tuple[SquareRootInformation, SquareRootInformation]],
 ) -> _Candidates:
     """Return the candidates, the closest to CAD first, fitted without each part in turn."""
-    candidates = _Candidates()
+    trainings = [training for training, _ in parts]
+    candidates = _fit_toward_cad(information, prior, consistent, weights, trainings)
     of_joints = consistent.weights
     K = information.base.regrouping
-    rough: dict[float, Array] = {}
 
     def select_trainings() -> Iterator[SquareRootInformation]:
         for training, _ in parts:
             refuse_few_rows(training)
             yield training
 
-    if weights:
-        path = EntropicPath(prior, information.base, bound_with_certainty(prior))
-        factors = np.array(
-            [part.stacked(of_joints) for part in (*(t for t, _ in parts), information)]
-        )
-        rough, weights = _fit_supported_weights(
-            path,
-            factors,
-            weights,
-            lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
-        )
-    for k, weight in enumerate(weights):
-        name = f"entropic (weight {weight:.3g})"
-        # From the weakest, which every fit has: other samples support other strong ones.
-        kind = f"entropic {len(weights) - k}"
-        fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
-        if weight in rough:
-            # The last row is the fit to all blocks.
-            *folds, whole = rough[weight] @ K.T
-            candidates.known.append(
-                Candidate(name, weight, np.array(folds), fit=fit, kind=kind, beta=whole)
-            )
-        else:
-            candidates.failed.append(name)
     conic = ConicProblem(prior, K, bound_generously(prior))
     candidates.add(
         consistent,
@@ -319,6 +340,41 @@ def _fit_candidates(
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
+    return candidates
+
+
+def _fit_toward_cad(
+    information: SquareRootInformation,
+    prior: CadPrior,
+    consistent: ConsistentEstimate,
+    weights: list[float],
+    trainings: Sequence[SquareRootInformation] = (),
+) -> _Candidates:
+    """Return the candidates with a weight of CAD, fitted to each training part as well."""
+    candidates = _Candidates()
+    if not weights:
+        return candidates
+    of_joints = consistent.weights
+    path = EntropicPath(prior, information.base, bound_with_certainty(prior))
+    rough, weights = _fit_supported_weights(
+        path,
+        np.array([part.stacked(of_joints) for part in (*trainings, information)]),
+        weights,
+        lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
+    )
+    for k, weight in enumerate(weights):
+        name = f"entropic (weight {weight:.3g})"
+        # From the weakest, which every fit has: other samples support other strong ones.
+        kind = f"entropic {len(weights) - k}"
+        fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
+        if weight in rough:
+            # The last row is the fit to all blocks.
+            *folds, whole = rough[weight] @ information.base.regrouping.T
+            candidates.known.append(
+                Candidate(name, weight, np.array(folds), fit=fit, kind=kind, beta=whole)
+            )
+        else:
+            candidates.failed.append(name)
     return candidates
 
 
@@ -348,58 +404,86 @@ def _fit_supported_weights(
     return rough, kept
 
 
-def _choose_converging(
+@dataclass(slots=True, eq=False)
+class _Chooser:
+    """Choose among candidates that are compared once."""
+
+    data: EstimationData
+    prior: CadPrior
+    free: Estimate
+    candidates: _Candidates
+    compare: Callable[[], MotionChoice]
+    compared: MotionChoice | None = None
+
+    @use_one_blas_thread()
+    def choose(self, kind: str) -> Chosen:
+        """Return the first candidate chosen whose fit to all blocks converges."""
+        # Least squares is the last candidate, and is always said for comparison.
+        while self.candidates.known:
+            if self.compared is None:
+                self.compared = self.compare()
+            choice = self.compared.of_kind(kind)
+            chosen = self.candidates.known[choice.chosen]
+            try:
+                fit = chosen.fit() if chosen.fit else self.free
+            except AsbuiltError:
+                # The rough fits did converge: the next best takes the place of this one.
+                self.candidates.failed.append(chosen.name)
+                del self.candidates.known[choice.chosen]
+                self.compared = None
+                continue
+            fit = replace(fit, rivals=choice.rivals, kind=chosen.kind)
+            notes = (choice.note, *self.candidates.note)
+            why = self._explain(choice, kind)
+            return _conclude_choice(self.data, self.prior, self.free, fit, why, notes)
+        return self.free, f"{self.free.method}: no other fit converged", self.candidates.note
+
+    def _explain(self, choice: MotionChoice, kind: str) -> str:
+        """Return why a candidate was chosen, with its error and the errors it is compared with."""
+        chosen = choice.candidates[choice.chosen]
+        error = choice.sentence(choice.chosen)
+        why = f"{chosen.name} has the least error on other motion"
+        if choice.chosen != choice.best:
+            near = self.data.model.has_masses
+            nearest = "the fit closest to CAD" if near else "the first consistent fit"
+            why = (
+                f"{chosen.name} is {nearest} whose error on other motion is within one standard"
+                " error of the least"
+            )
+            error += f", least {choice.sentence(choice.best)}"
+        if chosen.kind != self.free.method:
+            error += f", {choice.sentence(len(choice.candidates) - 1)}"
+        if kind == chosen.kind:
+            why = f"{chosen.name} {BETTER_LEFT_OUT}"
+        beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
+        return (
+            f"{why} ({error}: squared, in noise variances, on {choice.errors.shape[1]} groups of"
+            f" time blocks{beyond})"
+        )
+
+
+def _conclude_choice(
     data: EstimationData,
     prior: CadPrior,
     free: Estimate,
-    candidates: _Candidates,
-    choose: Callable[[], MotionChoice],
-) -> tuple[Estimate, str, tuple[str, ...]]:
-    """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
-    # A fit to all blocks can fail where the rough ones did not: the next best takes its place.
-    fit: Estimate | None = None
-    # Least squares is the last candidate, and is always said for comparison.
-    while fit is None:
-        if not candidates.known:
-            return free, f"{free.method}: no other fit converged", candidates.note
-        choice = choose()
-        chosen = candidates.known[choice.chosen]
-        try:
-            fit = chosen.fit() if chosen.fit else free
-        except AsbuiltError:
-            candidates.failed.append(candidates.known.pop(choice.chosen).name)
-    n_folds = choice.errors.shape[1]
-    error = choice.sentence(choice.chosen)
-    why = f"{chosen.name} has the least error on other motion"
-    if choice.chosen != choice.best:
-        nearest = "the fit closest to CAD" if data.model.has_masses else "the first consistent fit"
-        why = (
-            f"{chosen.name} is {nearest} whose error on other motion is within one standard error"
-            " of the least"
-        )
-        error += f", least {choice.sentence(choice.best)}"
-    if fit is not free:
-        error += f", {choice.sentence(len(choice.candidates) - 1)}"
-    if data.kind == chosen.kind:
-        why = f"{chosen.name} predicts the motion left out better than what was chosen without it"
-    beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
-    why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
-    scale = () if data.model.has_masses else (SCALE_OF_TORQUE,)
-    notes = (choice.note, *candidates.note, *scale)
-    if fit is not free:
-        fit = replace(fit, rivals=choice.rivals)
+    fit: Estimate,
+    why: str,
+    notes: tuple[str, ...],
+) -> Chosen:
+    """Return a fit that was chosen with what is wrong with it."""
+    notes = notes if data.model.has_masses else (*notes, SCALE_OF_TORQUE)
+    if fit.kind != free.method:
         return _join_notes(data, prior, fit, free), why, notes
-    free = replace(free, rivals=choice.rivals)
-    if _is_consistent(data.base, free):
-        return free, why, notes
+    if _is_consistent(data.base, fit):
+        return fit, why, notes
     finding = Finding(
         "consistent_fit_rejected",
         "warning",
-        f"The values of {free.method} are physically inconsistent, and were kept because consistent"
-        f" fits predict other motions worse on {n_folds} groups of held-out time blocks",
+        f"The values of {fit.method} are physically inconsistent, and were kept because consistent"
+        " fits predict other motions worse on held-out groups of time blocks",
         CURE,
     )
-    return replace(free, findings=(*free.findings, finding)), why, notes
+    return replace(fit, findings=(*fit.findings, finding)), why, notes
 
 
 def _fit_usual_weight(

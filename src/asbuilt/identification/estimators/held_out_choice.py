@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.distance import cdist
 from scipy.special import stdtrit
 
 from asbuilt.arrays import Array, Indices
@@ -150,6 +148,12 @@ class MotionChoice:
             if c != self.chosen and candidate.certain and candidate.beta.size
         }
 
+    def of_kind(self, kind: str) -> MotionChoice:
+        """Return the choice among the candidates of a kind; among all for a kind of none."""
+        totals = self.errors + self.extrapolation[:, None]
+        chosen, best = _choose_among(self.candidates, totals, kind)
+        return replace(self, chosen=chosen, best=best)
+
     def sentence(self, candidate: int) -> str:
         """Return the error of a candidate as text, and what is expected beyond it, if anything."""
         held = self.errors[candidate].mean()
@@ -166,7 +170,6 @@ def choose_candidate(
     prior_information: Array,
     random_motion: Array,
     extrapolation_variance: float,
-    kind: str = "",
 ) -> MotionChoice:
     """Choose the first candidate that predicts other motions as well as the best.
 
@@ -192,8 +195,6 @@ def choose_candidate(
         Rows of random motion within the joint limits (m, p), weighted.
     extrapolation_variance
         Residual variance times the design effect, in units of the weighted residual.
-    kind
-        Kind of the candidates that may be chosen; empty, or a kind of none: all.
     """
     n = information.n_joints
     errors = np.array(
@@ -230,23 +231,7 @@ def choose_candidate(
     # Motions are compared by the last candidate, least squares, on which CAD has no influence.
     own = _evaluate_leverage(root / np.sqrt(information.n_samples * n), whole, priors[-1])
     held_out = max(float(on_groups[-1]), np.finfo(np.float64).tiny)
-    totals = errors + beyond[:, None]
-    open_to = [c for c, candidate in enumerate(candidates) if kind in ("", candidate.kind)]
-    open_to = open_to or list(range(len(candidates)))
-    consistent = [c for c in open_to if candidates[c].certain]
-    # Without consistent candidates the first one, closest to CAD, is what is compared.
-    best = open_to[0]
-    if consistent:
-        best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))]
-    for c in open_to:
-        if c not in consistent and exceeds(totals[best] - totals[c], _surely_better(len(parts))):
-            best = c
-    # In order from CAD: the first as good as the best ends the search.
-    chosen = next(
-        c
-        for c in open_to
-        if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
-    )
+    chosen, best = _choose_among(candidates, errors + beyond[:, None])
     return MotionChoice(
         tuple(candidates),
         chosen,
@@ -271,6 +256,30 @@ def _reduce_motion(rows: Array, support: Sequence[Indices]) -> Array:
         of_joint = rows[k :: len(support), own]
         parts.append((own, np.column_stack([of_joint, np.zeros(len(of_joint))])))
     return stack_factors(parts, rows.shape[1])[:-1, :-1]
+
+
+def _choose_among(
+    candidates: Sequence[Candidate], totals: Array, kind: str = ""
+) -> tuple[int, int]:
+    """Return the candidate chosen by errors on groups (n_candidates, n_folds), and the best."""
+    open_to = [c for c, candidate in enumerate(candidates) if kind in ("", candidate.kind)]
+    open_to = open_to or list(range(len(candidates)))
+    consistent = [c for c in open_to if candidates[c].certain]
+    # Without consistent candidates the first one, closest to CAD, is what is compared.
+    best = open_to[0]
+    if consistent:
+        best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))]
+    surely = _surely_better(totals.shape[1])
+    for c in open_to:
+        if c not in consistent and exceeds(totals[best] - totals[c], surely):
+            best = c
+    # In order from CAD: the first as good as the best ends the search.
+    chosen = next(
+        c
+        for c in open_to
+        if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
+    )
+    return chosen, best
 
 
 def _surely_better(n: int) -> float:
@@ -337,6 +346,8 @@ def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS)
     """Return blocks of information (B, p, p) and so many samples (B,) in groups of like motion."""
     if len(grams) <= 2:
         return group_neighbours(len(grams))
+    from scipy.cluster.hierarchy import fcluster, linkage  # noqa: PLC0415 - light start
+
     length = np.sqrt(np.diag(grams.sum(axis=0)))
     # Equal torque per parameter: a distance between informations then has no units.
     scale = np.where(length > 0.0, length, 1.0) / np.sqrt(n_samples.sum())
@@ -347,6 +358,8 @@ def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS)
     every = -(-len(grams) // MOST_SORTED)
     group = fcluster(linkage(features[::every], "ward"), most, "maxclust")
     if every > 1:
+        from scipy.spatial.distance import cdist  # noqa: PLC0415 - light start
+
         means = np.array([features[::every][group == k].mean(axis=0) for k in np.unique(group)])
         group = np.argmin(cdist(features, means), axis=1)
     return [np.flatnonzero(group == each) for each in np.unique(group)]

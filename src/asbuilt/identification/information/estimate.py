@@ -63,6 +63,10 @@ class Estimate:
     rivals
         Base parameters (p,) of consistent fits of other kinds, by the kind that
         `EstimationData.kind` asks for, if the estimator chooses among some.
+    kind
+        The kind that was chosen; empty if there was no choice.
+    of_kind
+        Gives the estimate of another kind from what the choice has computed; None if none is left.
     """
 
     method: str
@@ -81,6 +85,8 @@ class Estimate:
     dropped: Mask | None = None
     refit: Refit | None = None
     rivals: Mapping[str, Array] = field(default_factory=dict)
+    kind: str = ""
+    of_kind: Callable[[str], Estimate] | None = None
 
     @property
     def rank(self) -> int:
@@ -187,7 +193,8 @@ class EstimationData:
     kept
         Rows that are kept for others who ask for the same ones.
     kind
-        Kind of fit that an estimator which chooses among several takes; empty: its own choice.
+        The only kind of fit that an estimator which chooses among several makes, if it can; empty:
+        its own choice.
     """
 
     model: RobotModel

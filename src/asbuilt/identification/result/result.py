@@ -397,9 +397,12 @@ class IdentificationResult:
 
     def with_effects(self, effects: tuple[FoundEffect, ...]) -> IdentificationResult:
         """Return the result with these effects; what was derived from all else stays known."""
-        found = replace(self, effects=effects)
-        vars(found)["_derived"] = self._derived
-        return found
+        return replace(self, effects=effects).remembering(self._derived)
+
+    def remembering(self, derived: dict[Any, Any]) -> IdentificationResult:
+        """Return the result, which from now on remembers what was derived from the same values."""
+        vars(self)["_derived"] = derived
+        return self
 
     @cached_property
     def _derived(self) -> dict[Any, Any]:

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
-from scipy.optimize import lsq_linear
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
@@ -387,6 +386,8 @@ def _solve_bounded(
     held[near] = False
     if np.all(x[near] > lower[near]) and np.all((scaled @ x - aim)[held] >= 0.0):
         return x * scale, near
+    from scipy.optimize import lsq_linear  # noqa: PLC0415 - light start
+
     # In the root the normal equations are a plain least-squares problem.
     root = np.linalg.cholesky(scaled).T
     target = solve_triangular(root, aim, trans="T")

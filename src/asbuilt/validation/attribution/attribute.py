@@ -165,7 +165,8 @@ def _is_supported(result: IdentificationResult, cad: RobotModel, body: Body) -> 
     if body.key == Payload.key:
         return True
     link = cad.links[body.link]
-    return not result.feasible("mass", link.name).holds(float(link.inertia.mass))
+    interval = result.feasible("mass", link.name, explained=False)
+    return not interval.holds(float(link.inertia.mass))
 
 
 def _list_changes(

@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, RobotModel
@@ -175,4 +174,6 @@ def check_tolerance(
 def _find_widening(excess: Callable[[float], float]) -> float | None:
     # Where even the widest does not cover there is no factor.
     """Return the factor from 1 to `WIDEST` at which the excess is zero, or None."""
+    from scipy.optimize import brentq  # noqa: PLC0415 - light start
+
     return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None

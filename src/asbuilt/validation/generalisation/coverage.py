@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -119,6 +118,8 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
         return 0.0
     before = _thin_states(q, qd)
     after = _thin_states(*_stack_states([held_out]))
+    from scipy.spatial import KDTree  # noqa: PLC0415 - light start
+
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
     distance, _ = tree.query(
         (after / np.where(moving, size, 1.0))[:, moving],

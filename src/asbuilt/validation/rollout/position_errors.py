@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.spatial import KDTree
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import make_plain
@@ -324,6 +322,8 @@ def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list
     at = np.linspace(0, scaled.shape[1] - 1, REPETITION_POINTS).astype(int)
     if len(places) < 2:
         return None
+    from scipy.spatial import KDTree  # noqa: PLC0415 - light start
+
     tree = KDTree(scaled[places][:, at].reshape(len(places), -1))
     pairs = tree.query_pairs(REPETITION_TOLERANCE, p=np.inf, output_type="ndarray")
     if not len(pairs):
@@ -360,6 +360,8 @@ def delay_command(windows: Windows) -> Array | None:
         )
         # From the measured start on: only the motion of the command counts.
         return np.asarray(command - command[:, :1] + windows.start_q[:, None])
+
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
 
     found = minimize_scalar(
         lambda delay: float(np.mean((delayed(delay) - windows.q)[:, 1:] ** 2)),

@@ -259,7 +259,7 @@ def _word_mass(result: IdentificationResult) -> str:
 def read_stated_mass(result: IdentificationResult) -> FeasibleInterval | None:
     """Return the mass of all links if its feasible interval lets one number stand for it."""
     try:
-        mass: FeasibleInterval = result.feasible("mass")
+        mass: FeasibleInterval = result.feasible("mass", explained=False)
     except IdentifiabilityError:
         return None
     return mass if mass.is_narrow else None

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
@@ -235,6 +234,8 @@ def _fit(
     keys = [key for key in fitted if key in plain]
     if not keys or not torque.any():
         return {}
+    from scipy.optimize import lsq_linear  # noqa: PLC0415 - light start
+
     columns = np.stack([plain[key] for key in keys], axis=1)
     size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     friction = make_friction_plain(drive)

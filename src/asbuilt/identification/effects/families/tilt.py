@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -50,6 +49,8 @@ class Tilt(Effect):
         self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
     ) -> tuple[RobotModel, list[Samples]]:
         """Return the robot with its base turned by a tilt about the axes across gravity."""
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - light start
+
         gravity = np.array(model.gravity)
         # Gravity in the base turns against the base.
         back = Rotation.from_rotvec(-values @ find_axes_across(gravity))

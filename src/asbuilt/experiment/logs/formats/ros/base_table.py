@@ -19,6 +19,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     name_contact,
     read_times,
 )
+from asbuilt.experiment.signal.cubic_spline import CubicSpline
 
 SLOWER = 1.05
 """Ratio of periods from which a topic is slower than another, not as fast with some jitter."""
@@ -106,8 +107,6 @@ def resample(
     A quaternion and its opposite are one rotation: signs go on without a jump, and lengths are
     interpolated too, so that one which is not normalised is still seen.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
-
     turn = [
         k for k, name in enumerate(names) if name.rpartition("_")[2] in ("qx", "qy", "qz", "qw")
     ]
@@ -128,7 +127,7 @@ def resample(
     start = times[0]
     t = (times - start) * 1e-9
     at = (rows[inside] - start) * 1e-9
-    out[inside] = CubicSpline(t, values)(at)
+    out[inside] = CubicSpline.through(t, values)(at)
     if turn:
         length = np.interp(at, t, np.linalg.norm(values[:, turn], axis=1))
         found = out[np.ix_(inside, turn)]
