@@ -31,8 +31,8 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import DriveSignal, SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
 
 Array = NDArray[np.float64]
 

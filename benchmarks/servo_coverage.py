@@ -20,12 +20,15 @@ from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    build_robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.workflow.prepare import prepare
 from asbuilt.workflow.servo import settle_servo
 from asbuilt.workflow.study_options import StudyOptions

@@ -27,7 +27,7 @@ from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -206,7 +206,7 @@ def _by_asbuilt(
     samples = prepare_samples(recording, SignalChain(cutoff=10.0))
     base = find_base_parameters(start, DRIVE)
     fit = fit_samples(start, [samples], base=base, method="entropic")
-    refined = refine_fit(fit, [windows], servo, belief=np.inf, of_servo=ServoCoordinates())
+    refined = refine_fit(fit, [windows], servo, belief=np.inf, free=ServoCoordinates())
     return refined.robot.values, refined.value_errors
 
 

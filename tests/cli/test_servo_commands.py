@@ -19,8 +19,11 @@ from asbuilt.description import load_robot
 from asbuilt.experiment import SignalChain, prepare_samples, read_recording
 from asbuilt.identification import as_built_parameters
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
-from asbuilt.identification.trajectories.windows import choose_driving_signal, cut_windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    build_robot_as_built,
+    choose_driving_signal,
+)
+from asbuilt.identification.trajectories.windows import cut_windows
 from asbuilt.workflow import read_result
 from asbuilt.writers import SIMULATOR_FORMATS
 from command_line import call, document

@@ -22,7 +22,7 @@ from asbuilt.experiment import (
     prepare_samples,
     resolve_chain,
 )
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.identification import identify_gains, identify_two_channels
 from asbuilt.workflow import ChannelOptions, GainOptions, find_gains, identify_channels
 from asbuilt.writers import gains_document, gains_text

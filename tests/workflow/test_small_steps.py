@@ -58,8 +58,10 @@ def test_a_refinement_that_simulates_worse_is_not_followed(
 
     def spoilt(*args, **kwargs):
         found = fitted(*args, **kwargs)
-        soft = replace(found.servo, kp=tuple(0.5 * kp for kp in found.servo.kp))
-        return replace(found, robot=found.robot.with_servo(soft), servo=soft)
+        soft = replace(found.law.servo, kp=tuple(0.5 * kp for kp in found.law.servo.kp))
+        return replace(
+            found, robot=found.robot.with_servo(soft), law=replace(found.law, servo=soft)
+        )
 
     monkeypatch.setattr(refinement, "refine_fit", spoilt)
     study, linear = studied(1), studied(1, refine=False)

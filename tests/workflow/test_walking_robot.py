@@ -122,10 +122,13 @@ def test_a_real_robot_is_simulated_under_its_torques(solo: RobotModel, log: Reco
 
 def test_commands_and_forces_on_the_base_are_refused(solo: RobotModel, log: Recording) -> None:
     n = log.n_joints - 6
+    bare = log.reordered(log.joint_names[6:])
     joints = replace(
-        log.reordered(log.joint_names[6:]),
+        bare,
         undriven=(),
         contact=None,
+        torque_source="command",
+        command=bare.q,
         servo=PositionServo(kp=(10.0,) * n, kd=(0.2,) * n),
         extra={"base_fx": log.t},
     )

@@ -15,7 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.description.sibling import Sibling
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.free_base.columns import (
     ACCELERATION,
     ANGULAR,
@@ -30,8 +30,8 @@ from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import DriveSignal, build_robot_as_built
+from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.workflow.calibration import identify_moments
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.study_options import PayloadOptions

@@ -93,7 +93,7 @@ def channels(
     require_distinct_logs(motor)
     if motor_sheet is None and motor_gain is None:
         require_distinct_logs(log, motor)
-    model = load_described_robot(robot, **reading.of_base)
+    model = load_described_robot(robot, reading.base)
     on_links = replace(reading, torque_source=reading.torque_source or "sensor")
     on_motors = replace(
         reading,
@@ -160,7 +160,7 @@ def gains(
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    model = load_described_robot(robot, **reading.of_base)
+    model = load_described_robot(robot, reading.base)
     source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
     measured = replace(reading, torque_source=source or "current")
     model, (bare, under) = read_robot_and_recordings(model, measured, log, loaded)

@@ -70,7 +70,7 @@ def identify(
     require_distinct_logs(log, validate, payload)
     if not options.rollout:
         refuse_sharing("only rollouts are shared", workers, scheduler)
-    model = load_described_robot(robot, **reading.of_base)
+    model = load_described_robot(robot, reading.base)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)

@@ -73,7 +73,7 @@ def check(
     and excitation. A recording sheet that makes a log readable, or better, is printed, complete.
     """
     require_distinct_logs(log)
-    described = load_described_robot(robot, **reading.of_base)
+    described = load_described_robot(robot, reading.base)
     proposals: dict[Path, experiment.SheetProposal] = {}
     written: dict[str, Path] = {}
     if write_sheet:
@@ -91,7 +91,7 @@ def check(
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
     # What limits a motion on legs is balance, of which limits of joints say nothing.
-    information = information and not model.n_floating
+    information = information and not model.mixes_joints
     carried = [
         _measure_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)

@@ -28,10 +28,8 @@ from asbuilt.cli.answers import (
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
-    Contacts,
     Drive,
     FixedBase,
-    FreeBase,
     Full,
     PagePort,
     Robot,
@@ -44,7 +42,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.codec import format_json
-from asbuilt.description.load import bundled_robot, robot_names
+from asbuilt.description.load import BaseOptions, bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.experiment.logs.reading_options import parse_gravity
 from asbuilt.tables import stack_tables
@@ -67,9 +65,8 @@ def drives(full: Full = False, as_json: AsJson = False) -> None:
 
 def show(
     robot: RobotOrResult,
-    fixed_base: FixedBase = False,
-    free_base: FreeBase = False,
-    contacts: Contacts = None,
+    *,
+    root: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -78,23 +75,14 @@ def show(
     For a result, it shows the robot as built, and CAD masses for comparison.
     """
     if not is_result(robot):
-        model = load_described_robot(
-            robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
-        )
+        model = root.load_robot(robot)
         answer(
             as_json,
             lambda: writers.robot_document(model),
             lambda: writers.robot_text(model, full, describe_cure),
         )
         return
-    refuse_idle(
-        "the robot of a result is taken as it was identified",
-        {
-            "--fixed-base": fixed_base,
-            "--free-base": free_base,
-            "--contacts": contacts is not None,
-        },
-    )
+    refuse_idle("the robot of a result is taken as it was identified", find_given_options(root))
     result = asbuilt.read_result(Path(robot))
 
     model = writers.as_built(result).model
@@ -139,9 +127,8 @@ def schema(
 def base(
     robot: Robot,
     drive: Drive = None,
-    fixed_base: FixedBase = False,
-    free_base: FreeBase = False,
-    contacts: Contacts = None,
+    *,
+    root: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -151,9 +138,7 @@ def base(
     """
     from asbuilt.dynamics.drives.torque import keep_driven_joints
 
-    model = load_described_robot(
-        robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
-    )
+    model = root.load_robot(robot)
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
     found = asbuilt.find_base_parameters(model, keep_driven_joints(model, chosen))
     standard = writers.standard_table if full else writers.identifiability_table

@@ -192,12 +192,12 @@ def _validate_described(
             " the table, and a page of its rollouts (--rollout)"
         )
     model, (logged,) = read_robot_and_recordings(
-        load_described_robot(robot, **reading.of_base), reading, log
+        load_described_robot(robot, reading.base), reading, log
     )
-    from asbuilt.workflow.servo import has_open_servo
+    from asbuilt.workflow.torque_source import lacks_torque
 
     # Where a log has neither torque nor gains, simulated motion is all there is to compare.
-    with_torque = [each for each in logged if not (options.rollout and has_open_servo(each))]
+    with_torque = [each for each in logged if not (options.rollout and lacks_torque(each))]
     errors = asbuilt.validate_robot(model, with_torque, options=options) if with_torque else ()
     simulated = asbuilt.roll_out_robot(
         model, logged, options.rollout, options=options, workers=workers
@@ -424,7 +424,7 @@ def review(
     supported, contradicted or undetermined, and what each is an alias of.
     """
     require_distinct_logs(log)
-    model = load_described_robot(robot, **reading.of_base)
+    model = load_described_robot(robot, reading.base)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     with show_progress() as report:

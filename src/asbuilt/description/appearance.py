@@ -94,10 +94,9 @@ def _build_solids(model: RobotModel) -> Iterator[Solid]:
     for frame in model.frames:
         if frame.link == ROOT or not ends[frame.link]:
             ends[frame.link].append(frame.placement[:3, 3])
-    for loop in model.loops:
-        for at, point in (model.place_of(*end) for end in loop.ends if loop.kind != "joint"):
-            if at != ROOT:
-                ends[at].append(point)
+    for at, point in model.joined_points:
+        if at != ROOT:
+            ends[at].append(point)
     for end in ends[ROOT]:
         if np.linalg.norm(end) > thick:
             yield Solid(ROOT, "rod", np.zeros(3), end, thick)

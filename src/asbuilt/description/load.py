@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files
@@ -15,7 +15,7 @@ from pkgutil import iter_modules
 from asbuilt.description.formats.description_format import FORMATS, format_of, list_suffixes
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
-from asbuilt.description.structure.free_base import BaseKind
+from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.untrusted import allow_xacro_python, describe_problem, name_file_in_errors, read_bytes
@@ -58,6 +58,40 @@ def find_published_description(name: str) -> Path:
     if found is None:
         raise DescriptionError(f"{name} of robot_descriptions has no URDF or MJCF", value=name)
     return Path(found)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaseOptions:
+    """How the base of a robot stands, as `load_robot` takes it.
+
+    `fixed_base` holds a free joint of the description, `free_base` has it stand on no fixed root,
+    `contacts` are where it may touch the ground.
+    """
+
+    fixed_base: bool = field(
+        default=False,
+        metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
+    )
+    free_base: bool = field(
+        default=False,
+        metadata={"help": "the robot stands on no fixed root: legs, drones, satellites"},
+    )
+    contacts: str | None = field(
+        default=None,
+        metadata={
+            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
+            "metavar": "FRAME,...",
+        },
+    )
+
+    def load_robot(self, name_or_path: str | os.PathLike[str]) -> RobotModel:
+        """Return the robot that a name or a path describes, on this base."""
+        return load_robot(
+            name_or_path,
+            fixed_base=self.fixed_base,
+            base="free" if self.free_base else "fixed",
+            contacts=self.contacts or "",
+        )
 
 
 def load_robot(

@@ -19,7 +19,12 @@ from asbuilt.description.structure.couplings import (
     separate_followers,
     with_rotors,
 )
-from asbuilt.description.structure.free_base import BaseKind, classify_base, count_base_joints
+from asbuilt.description.structure.free_base import (
+    classify_base,
+    count_base_joints,
+    refuse_free_base,
+    refuse_ground,
+)
 from asbuilt.description.structure.joint_map import JointMap, OneToOne, TreeMotion
 from asbuilt.description.structure.locking import (
     derive_locked_positions,
@@ -32,6 +37,7 @@ from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
     USUAL_GRAVITY,
+    BaseKind,
     Contact,
     DriveValues,
     Frame,
@@ -281,6 +287,14 @@ class RobotModel:
         """
         return self.n_floating > 0
 
+    def require_root(self, reason: str) -> None:
+        """Raise `UsageError` with a reason if the base can move."""
+        refuse_free_base(self.name, self.n_floating, reason)
+
+    def require_no_reactions(self) -> None:
+        """Raise `UsageError` if forces may act at which trajectories jump."""
+        refuse_ground(self.name, self.contacts)
+
     @cached_property
     def standing(self) -> RobotModel:
         """The robot with its base held still at zero; itself on a fixed root."""
@@ -421,6 +435,13 @@ class RobotModel:
             f"{purpose} needs a robot whose joints move by constant shares of the motors;"
             f" {self.name} has closed chains ({names})",
             loops=[str(loop) for loop in self.loops],
+        )
+
+    @property
+    def joined_points(self) -> tuple[tuple[int, Array], ...]:
+        """Links and points (3,) in their axes at which loops hold them together, two a loop."""
+        return tuple(
+            self.place_of(*end) for loop in self.loops if loop.kind != "joint" for end in loop.ends
         )
 
     def place_of(self, name: str, point: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[int, Array]:

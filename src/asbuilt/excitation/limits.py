@@ -287,6 +287,14 @@ def _find_passive_margins(
                 yield found
 
 
+def make_open_error(model: RobotModel) -> MotionError:
+    """Return what is wrong where no motion about the posture of the description exists."""
+    return MotionError(
+        f"{model.name}: no random motion was found along which the loops close; check points of"
+        " the loops and the posture of the description"
+    )
+
+
 def refuse_open_postures(model: RobotModel) -> None:
     """Raise MotionError where the loops do not close everywhere within the limits of the motors.
 

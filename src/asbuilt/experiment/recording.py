@@ -333,6 +333,31 @@ class Recording:
             servo=None if self.servo is None else self.servo.reordered(order),
         )
 
+    def behind(
+        self, names: Sequence[str], q: Array, qd: Array | None, qdd: Array | None
+    ) -> Recording:
+        """Return the recording with joints (N, k) before its own that nothing drives.
+
+        Rates are left out where they are known of some joints alone.
+        """
+        still = np.zeros_like(q)
+
+        def join(first: Array | None, own: Array | None) -> Array | None:
+            return None if first is None or own is None else np.hstack([first, own])
+
+        return replace(
+            self,
+            q=np.hstack([q, self.q]),
+            tau=np.hstack([still, self.tau]),
+            qd=join(qd, self.qd),
+            qdd=join(qdd, self.qdd),
+            joint_names=(*names, *self.joint_names),
+            undriven=tuple(names),
+            gains=None if self.gains is None else (*[1.0] * len(names), *self.gains),
+            command=join(still, self.command),
+            servo=None if self.servo is None else self.servo.behind_base(len(names)),
+        )
+
     def between(self, start: float, stop: float) -> Recording:
         """Return the samples with `start <= t < stop` [s]."""
         return self.taken(
@@ -376,6 +401,26 @@ class Recording:
         counts = np.cumsum(np.nan_to_num(self.contact, nan=1.0) > 0.5, axis=0, dtype=np.float64)
         counts = np.vstack([np.zeros((1, counts.shape[1])), counts])
         return np.asarray(counts[last] - counts[first] > 0.0, dtype=np.float64)
+
+
+WORDS = {None: np.nan, "auto": np.nan, "none": np.inf}
+"""Words that stand for a number which is unknown, or without bound."""
+
+
+def spread_over_joints(recording: Recording, given: Any, what: str) -> Array:
+    """Return numbers that are given once or per joint as (n,); "auto" and None are NaN."""
+    listed = given if isinstance(given, list | tuple) else [given]
+    numbers = np.array([WORDS[each] if each in WORDS else float(each) for each in listed])
+    if numbers.size not in (1, recording.n_joints):
+        raise RecordingError(
+            f"{recording.source}: {numbers.size} {what} for {recording.n_joints} joints"
+            f" ({', '.join(recording.joint_names)})",
+            cure=Cure("give one, or one per joint"),
+            file=recording.source,
+            value=numbers.tolist(),
+            expected=recording.n_joints,
+        )
+    return np.broadcast_to(numbers, recording.n_joints)
 
 
 def median_rate(t: Array) -> float:

@@ -66,10 +66,10 @@ def find_carried_load(result: IdentificationResult, samples: Samples) -> Carried
     The evidence is four moments of a weight beside the identified arm, which stays as it is. The
     mass is that of `identify_payload`, so that both say one number.
     """
-    # Legs stand on what they carry, a servo's command is no torque, and a joint without torque
-    # has no error.
+    # Legs stand on what they carry, a torque that is computed explains itself, and a joint without
+    # torque has no error.
     known = bool(np.all(samples.has_torque))
-    if result.servo is not None or result.model.n_floating or not known:
+    if result.decided_by_motion or result.model.mixes_joints or not known:
         return None
     model = (result.model, result.base, result.estimates)
     bare = _mean_square(predict_torque(*model, samples).error * result.weights)

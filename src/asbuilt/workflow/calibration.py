@@ -18,14 +18,15 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import Recording, Samples, SignalChain, head_of
-from asbuilt.experiment.command.servo_torque import drop_slow_rows
+from asbuilt.experiment.command.torque import drop_unknown_directions
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
     as_recordings,
     read_fitted_recordings,
 )
-from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
+from asbuilt.experiment.quality.checks import TOO_LITTLE
+from asbuilt.experiment.quality.torque_fit import UNKNOWN_TORQUE
 from asbuilt.findings import Cure
 from asbuilt.identification import predict_torque
 from asbuilt.identification.calibration.added_moments import AddedMoments, identify_added_moments
@@ -235,12 +236,10 @@ def find_gains(
 
 
 def _select_known_direction(samples: Samples, item: Recorded, prepared: Prepared) -> Samples:
-    """Return the samples of a servo's command whose direction of motion is known; others whole."""
+    """Return the samples of which it is known how friction acts."""
     if isinstance(item, Samples) or prepared.chain is None:
         return samples
-    head = head_of(item)
-    cutoff = prepared.chain.cutoff or np.inf
-    return drop_slow_rows(samples, head, cutoff) if head.torque_source == "command" else samples
+    return drop_unknown_directions(samples, head_of(item), prepared.chain.cutoff or np.inf)
 
 
 def identify_channels(

@@ -339,7 +339,7 @@ def _drop_needless_effects(
         if not needless:
             # A second fit only where the final one sees what validation is to predict.
             validated = fitted(prepared.training, choice, kind) if prepared.whole else final
-            # Of a servo's commands no torque is known that could test.
+            # Torques that were computed cannot test.
             test = LeftOut.of(validated, prepared) if source.is_measured else None
             needless = set() if test is None else test.list_harmful(effects.found)
             # Once: what was left out decides between kinds of fits, and then has decided.

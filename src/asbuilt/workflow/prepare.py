@@ -18,7 +18,7 @@ from asbuilt.experiment import (
     head_of,
     resolve_chain,
 )
-from asbuilt.experiment.command.servo_torque import drop_saturated
+from asbuilt.experiment.command.torque import drop_saturated
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import (

@@ -18,7 +18,6 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.effects.trials import RULES as EFFECT_RULES
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.identification.trajectories.refined_fit import (
     RefinedFit,
     is_friction_at_rest,
@@ -27,15 +26,11 @@ from asbuilt.identification.trajectories.refined_fit import (
     thin_windows,
     widen_parameters,
 )
-from asbuilt.identification.trajectories.simulated_robot import (
-    STIFFNESS_SPREAD,
-    ServoCoordinates,
-    SimulatedRobot,
-)
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
-from asbuilt.workflow.rollout import Simulated, SimulatedParts, drop_unused_servo
+from asbuilt.workflow.rollout import Simulated, SimulatedParts
 from asbuilt.workflow.torque_source import MeasuredTorque
 
 # Hold lengths of windows, and when a refinement is worth its parameters.
@@ -66,7 +61,7 @@ class Refined:
     kept
         Whether the result is the robot after, which its rollouts predict no worse.
     undetermined
-        Drive and servo parameters that the trajectories leave where they were.
+        Parameters of drives and their law that the trajectories leave where they were.
     start
         The robot before.
     """
@@ -106,9 +101,7 @@ class Refined:
                     f"Refined by trajectories, the robot is simulated worse on windows of"
                     f" {self.horizon:g} s ({after}, before {before}): the result is the fit to"
                     " torques",
-                    Cure(
-                        "record more motion, or look for contact and limits of the servo in the log"
-                    ),
+                    Cure("record more motion, or look for contact and torque limits in the log"),
                 ),
             )
         finding = Finding(
@@ -179,20 +172,20 @@ def refine_study(
     given = drive
     horizon = min(max(horizons, default=REFINEMENT_USUAL), REFINEMENT_LONGEST)
     windows = _cut_windows(parts.trained, horizon)
-    # Only under commands the servo is part of what moves the robot.
-    driven = source.servo if kinds == {"command"} else None
+    # Only under commands their law is part of what moves the robot.
+    driving = source if kinds == {"command"} else MeasuredTorque()
 
-    def refined(fit: Fit, servo: ServoEstimate | None, begin: Array | None = None) -> RefinedFit:
+    def refined(fit: Fit, driving: MeasuredTorque, begin: Array | None = None) -> RefinedFit:
         return refine_fit(
             fit,
             windows,
-            None if servo is None else servo.servo,
-            of_servo=_make_servo_coordinates(servo),
+            driving.law,
+            free=driving.free,
             begin=begin,
             progress=lambda fraction: report("refine", fraction),
         )
 
-    best = refined(fit, driven)
+    best = refined(fit, driving)
     iterations = best.refinement.iterations
     term = available_terms()["stribeck"]
     term = term.with_nonlinear(
@@ -202,8 +195,7 @@ def refine_study(
         wider = drive.with_term(term)
         n = fit.model.n_joints
         begin = widen_parameters(best.refinement.point.chi, drive, wider, n)
-        before = None if driven is None else _update_servo(driven, best)
-        other = refined(fitted(wider), before, begin)
+        other = refined(fitted(wider), driving.refined(best), begin)
         iterations += other.refinement.iterations
         # Akaike, a parameter a joint; and motion that was not fitted must agree.
         gained = _measure_gain(best, other) > REFINEMENT_WORTH * n
@@ -216,9 +208,7 @@ def refine_study(
     # A robot that is simulated worse than before is not the result.
     if not tried.kept:
         return fit, source, tried, given
-    if driven is not None:
-        source = source.with_servo(_update_servo(driven, best))
-    return best.fit, source, tried, drive
+    return best.fit, driving.refined(best) if driving is source else source, tried, drive
 
 
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
@@ -273,28 +263,6 @@ def _is_better(
     return after.rms_all_until**2 < (1.0 - EFFECT_RULES.worth) * before.rms_all_until**2
 
 
-def _make_servo_coordinates(servo: ServoEstimate | None) -> ServoCoordinates:
-    """Return what of a servo is unknown, so that trajectories are fitted to it."""
-    if servo is None:
-        return ServoCoordinates()
-    return ServoCoordinates(
-        stiffness=any(x != "given" for x in servo.errors.scale),
-        delay=servo.errors.delay > 0.0,
-        # A torque ahead of its command is no delay: the rate of the error may be the law.
-        lead=servo.errors.lead > 0.0 or (servo.precedes_command and not any(servo.servo.lead)),
-        spread=_estimate_stiffness_spread(servo),
-    )
-
-
-def _estimate_stiffness_spread(servo: ServoEstimate) -> float:
-    """Return the relative standard error of a common stiffness by the fit to torques."""
-    free = np.array(servo.errors.scale) != "given"
-    unknown = np.array(servo.errors.kp)[free] / np.array(servo.servo.kp)[free]
-    # The best known stiffness, as one factor is common to all.
-    known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
-    return float(np.min(known, initial=STIFFNESS_SPREAD))
-
-
 def _validate_refinement(
     refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulated]
 ) -> Refined:
@@ -318,10 +286,9 @@ def _measure_rollout_errors(
     windows = thin_windows(_cut_windows(parts, horizon))
     found = roll_out(
         other.model,
-        # A servo that is not used would act on the torque as well.
         windows,
-        [drop_unused_servo(one, cut.signal) for cut in windows],
-        [drop_unused_servo(other, cut.signal) for cut in windows],
+        [one.driven_by(cut.signal) for cut in windows],
+        [other.driven_by(cut.signal) for cut in windows],
     )
     return found.cad, found.as_built
 
@@ -338,17 +305,3 @@ def _cut_windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
     if not found and problem is not None:
         raise problem
     return found
-
-
-def _update_servo(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimate:
-    """Return the estimate of a servo with refined gains and delay, and their errors."""
-    if refined.servo is None:
-        return servo
-    errors = servo.errors
-    if np.isfinite(refined.delay_error):
-        errors = replace(errors, delay=refined.delay_error)
-    if np.isfinite(refined.lead_error):
-        errors = replace(errors, lead=refined.lead_error)
-    if np.isfinite(refined.stiffness_error):
-        errors = replace(errors, kp=tuple(refined.stiffness_error * kp for kp in refined.servo.kp))
-    return replace(servo, servo=refined.servo, errors=errors)

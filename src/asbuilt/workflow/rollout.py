@@ -21,19 +21,17 @@ from asbuilt.experiment.logs.recordings import (
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.simulated_robot import (
-    SimulatedRobot,
+    DriveSignal,
     build_robot_as_built,
     build_robot_as_described,
-)
-from asbuilt.identification.trajectories.windows import (
-    DriveSignal,
     choose_driving_signal,
-    cut_windows,
+    choose_law,
 )
+from asbuilt.identification.trajectories.windows import cut_windows
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.prepare import find_unseeing
-from asbuilt.workflow.servo import with_described_servo, with_servo
 from asbuilt.workflow.study_options import ValidationOptions
+from asbuilt.workflow.torque_source import drive_as_built, drive_as_described
 
 Simulated = tuple[Recording, Samples, DriveSignal]
 """A recording, the part of its motion that is simulated, and what drives it."""
@@ -51,7 +49,7 @@ def roll_out_result(
 
     Of a recording that the result was identified from, only what was held out is simulated, if
     anything was. MuJoCo simulates windows one after another, under the logged command if the
-    recording has a position servo, or else under the logged torque.
+    recording states how drives follow it, or else under the logged torque.
 
     Parameters
     ----------
@@ -88,7 +86,7 @@ def roll_out_result(
         # What was held out of this recording is simulated by values that have not seen it.
         # With a chain of its own the division of the study does not apply.
         fitted, holdout = (result, None) if options.chain else find_unseeing(result, item)
-        parts.append(_prepare_part(with_servo(item, result.servo), chain, holdout, MotionFilters()))
+        parts.append(_prepare_part(drive_as_built(result, item), chain, holdout, MotionFilters()))
         results.append(fitted)
     return simulate_rollouts(results, parts, horizons, cad=cad, workers=workers)
 
@@ -109,11 +107,11 @@ def roll_out_robot(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
     parts = [
-        _prepare_part(with_described_servo(model, item), options.chain, None, MotionFilters())
+        _prepare_part(drive_as_described(model, item), options.chain, None, MotionFilters())
         for item in logged
     ]
     described = [
-        drop_unused_servo(build_robot_as_described(model, recording.servo), signal)
+        build_robot_as_described(model, choose_law(recording, None)).driven_by(signal)
         for recording, _, signal in parts
     ]
     return tuple(
@@ -142,11 +140,10 @@ def simulate_rollouts(
     by_cad = []
     built = []
     for result, (recording, _, signal) in zip(results, parts, strict=True):
-        # The result's servo is the one identified, the recording's what was stated.
-        servo = result.servo or recording.servo
-        described = build_robot_as_described(cad or result.model, servo)
-        by_cad.append(drop_unused_servo(described, signal))
-        built.append(drop_unused_servo(build_robot_as_built(result, servo), signal))
+        law = choose_law(recording, result)
+        described = build_robot_as_described(cad or result.model, law)
+        by_cad.append(described.driven_by(signal))
+        built.append(build_robot_as_built(result, law).driven_by(signal))
     return tuple(
         roll_out(
             results[0].model,
@@ -187,12 +184,6 @@ def select_simulated_parts(
             *(_prepare_part(item, chain, None, filters) for item in validation),
         ),
     )
-
-
-def drop_unused_servo(robot: SimulatedRobot, signal: DriveSignal) -> SimulatedRobot:
-    """Return the robot with its servo only where a command drives it."""
-    # A torque drives the robot directly: its servo would add to it.
-    return robot if signal.kind == "command" else robot.with_servo(None)
 
 
 def _prepare_part(

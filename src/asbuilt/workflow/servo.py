@@ -8,25 +8,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
-from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, read_described_servo
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import (
     Recorded,
-    RecordingStream,
     Samples,
     SignalChain,
     head_of,
     resolve_chain,
 )
-from asbuilt.experiment.command.servo_torque import drive_by_command, drop_slow_rows
+from asbuilt.experiment.command.torque import drop_slow_rows
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.identify import Fit
@@ -36,6 +35,10 @@ from asbuilt.identification.servo.servo_estimate import (
     estimate_servo,
 )
 from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors
+from asbuilt.identification.trajectories.simulated_robot import (
+    STIFFNESS_SPREAD,
+    ServoCoordinates,
+)
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, RecordingDelay
 from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
@@ -43,7 +46,10 @@ from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
-from asbuilt.workflow.torque_source import MeasuredTorque
+from asbuilt.workflow.torque_source import MeasuredTorque, with_servo
+
+if TYPE_CHECKING:
+    from asbuilt.identification.trajectories.refined_fit import RefinedFit
 
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
@@ -119,7 +125,12 @@ class CommandedTorque(MeasuredTorque):
     servo: ServoEstimate
 
     @property
-    def expected(self) -> ExpectedScores | None:  # type: ignore[override]
+    def is_measured(self) -> bool:
+        """They are not: a law makes them of commands and positions."""
+        return False
+
+    @property
+    def expected(self) -> ExpectedScores | None:
         """Scores that noise of the positions lends the parameters through the law."""
         return self.servo.expected
 
@@ -171,9 +182,37 @@ class CommandedTorque(MeasuredTorque):
         delays = (RecordingDelay(*recording, estimate, error, late) for recording in recordings)
         return replace(prepared, delay=tuple(delays))
 
-    def with_servo(self, servo: ServoEstimate) -> CommandedTorque:
-        """Return it with another estimate of the servo."""
-        return CommandedTorque(servo)
+    @property
+    def law(self) -> PositionServo:
+        """The servo, which is part of what moves a simulated robot."""
+        return self.servo.servo
+
+    @property
+    def free(self) -> ServoCoordinates:
+        """What of the servo is unknown, so that trajectories are fitted to it."""
+        servo = self.servo.servo
+        errors = self.servo.errors
+        return ServoCoordinates(
+            stiffness=any(source != "given" for source in errors.scale),
+            delay=errors.delay > 0.0,
+            # A torque ahead of its command is no delay: the rate of the error may be the law.
+            lead=errors.lead > 0.0 or (self.servo.precedes_command and not any(servo.lead)),
+            spread=_estimate_stiffness_spread(self.servo),
+        )
+
+    def refined(self, refined: RefinedFit) -> CommandedTorque:
+        """Return it with refined gains and delay, and their errors."""
+        if refined.law.servo is None:
+            return self
+        errors = self.servo.errors
+        if np.isfinite(refined.law.delay_error):
+            errors = replace(errors, delay=refined.law.delay_error)
+        if np.isfinite(refined.law.lead_error):
+            errors = replace(errors, lead=refined.law.lead_error)
+        if np.isfinite(refined.law.stiffness_error):
+            gains = tuple(refined.law.stiffness_error * kp for kp in refined.law.servo.kp)
+            errors = replace(errors, kp=gains)
+        return CommandedTorque(replace(self.servo, servo=refined.law.servo, errors=errors))
 
     def with_errors(self, fit: Fit) -> Fit:
         """Return a fit whose errors include the servo's delay and what was taken away.
@@ -310,48 +349,13 @@ def _read_stated_delay(chain: SignalChain) -> float | None:
     return None if chain.delay == "auto" else float(chain.delay)
 
 
-def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
-    """Return a recording with the torque of a servo that follows its command, if it has one.
-
-    A limit of the goal that is stated for the recording holds there.
-    """
-    if servo is None or isinstance(item, Samples):
-        return item
-    stated = head_of(item).servo
-    if stated is not None:
-        stated_limit = np.array(stated.goal_acceleration)
-        # A limit that is stated for a recording holds in it.
-        kept = np.where(np.isnan(stated_limit), servo.goal_acceleration, stated_limit)
-        servo = replace(servo, goal_acceleration=tuple(kept.tolist()), goal_speed=stated.goal_speed)
-    if isinstance(item, RecordingStream):
-        return replace(item, servo=servo)
-    return drive_by_command(item, servo) if item.command is not None else item
-
-
-def has_open_servo(item: Recorded) -> bool:
-    """Return whether a recording has commands of a servo whose gains it does not state."""
-    stated = None if isinstance(item, Samples) else head_of(item).servo
-    return stated is not None and not stated.known
-
-
-def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
-    """Return a recording whose servo has the gains of the description where it states none.
-
-    Raises `UsageError` if neither states them, for a robot as described then has no torque.
-    """
-    if isinstance(item, Samples) or not has_open_servo(item):
-        return item
-    stated = head_of(item).servo
-    described = read_described_servo(model)
-    servo = stated.completed(described) if stated and described else stated
-    if servo is None or not servo.known:
-        raise UsageError(
-            f"{head_of(item).source}: the stiffness or damping of a servo is stated neither for"
-            f" the recording nor by {model.name}, and without both a robot as described has no"
-            " torque",
-            cure=Cure("state both, or identify them", {"kp": "LIST", "kd": "LIST"}),
-        )
-    return with_servo(item, servo)
+def _estimate_stiffness_spread(servo: ServoEstimate) -> float:
+    """Return the relative standard error of a common stiffness by the fit to torques."""
+    free = np.array(servo.errors.scale) != "given"
+    unknown = np.array(servo.errors.kp)[free] / np.array(servo.servo.kp)[free]
+    # The best known stiffness, as one factor is common to all.
+    known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
+    return float(np.min(known, initial=STIFFNESS_SPREAD))
 
 
 def _measure_recording_excess(fit: Fit, late: DelayErrors | None) -> Array | None:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, restore_dataclass
-from asbuilt.description import RobotModel, load_robot
-from asbuilt.description.structure.free_base import refuse_ground
+from asbuilt.description import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import ResultError, UsageError
@@ -308,13 +307,9 @@ def identify(
     reading = ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
-        robot = load_robot(
-            robot,
-            fixed_base=reading.fixed_base,
-            base="free" if reading.free_base else "fixed",
-            contacts=reading.contacts or "",
-        )
-    refuse_ground(robot.name, robot.contacts, wanted.refine)
+        robot = reading.base.load_robot(robot)
+    if wanted.refine:
+        robot.require_no_reactions()
     if wanted.rollout:
         # A missing simulator is said before hours of work.
         import_mujoco("a rollout")

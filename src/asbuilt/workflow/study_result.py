@@ -53,7 +53,7 @@ from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
 from asbuilt.workflow.study_options import StudyOptions
 
 if TYPE_CHECKING:
-    from asbuilt.identification.uncertainty.foot_moments import FootMoments
+    from asbuilt.identification.result.legs import FootMoments
 
 GAINS_ASSUMED = Finding(
     "gains_assumed",
@@ -210,7 +210,7 @@ def _doubt_friction(fit: Fit) -> OmittedBias | None:
 def _find_foot_moments(fits: Fits) -> FootMoments | None:
     if not fits.model.mixes_joints:
         return None
-    from asbuilt.identification.uncertainty.foot_moments import (  # noqa: PLC0415 - light start
+    from asbuilt.identification.result.legs import (  # noqa: PLC0415 - light start
         find_foot_moments,
     )
 

@@ -9,14 +9,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
-from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
-from asbuilt.experiment import Samples, head_of
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment import Samples
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
@@ -24,7 +19,7 @@ from asbuilt.experiment.logs.recordings import (
     read_fitted_recordings,
 )
 from asbuilt.experiment.signal.samples import RECORDINGS
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Finding
 from asbuilt.identification import IdentificationResult, TorqueMetrics
 from asbuilt.validation import (
     CadTolerance,
@@ -45,9 +40,9 @@ from asbuilt.workflow.prepare import (
     name_held_out,
     prepare,
 )
-from asbuilt.workflow.servo import has_open_servo, with_servo
 from asbuilt.workflow.study import Study, identify
 from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions, ValidationOptions
+from asbuilt.workflow.torque_source import drive_as_built, find_asked_torques, require_torque
 
 
 def validate(
@@ -141,12 +136,8 @@ def validate_robot(
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
-    for recording_open in filter(has_open_servo, logged):
-        raise UsageError(
-            f"{recording_open.source} holds commands and no gains of the servo, so that it has"
-            " no torque to compare with",
-            cure=Cure("compare simulated motion", {"rollout": "0.5"}),
-        )
+    for recording in logged:
+        require_torque(recording)
     return tuple(
         validate_description(
             model,
@@ -166,7 +157,7 @@ def _prepare_recording(
     result: IdentificationResult, recording: Recorded, options: ValidationOptions
 ) -> tuple[IdentificationResult, Samples]:
     """Return what predicts a recording, and its samples; those held out, if it was fitted."""
-    recording = with_servo(recording, result.servo)
+    recording = drive_as_built(result, recording)
     fitted, rule = (result, None) if options.chain else find_unseeing(result, recording)
     prepared = prepare(
         result.model,
@@ -251,20 +242,11 @@ def review(
     model, (logged,) = read_fitted_recordings(model, (recordings,))
     study = identify(model, logged, options=options, progress=progress)
     result = study.result
-    unlimited = result.servo is not None and not np.any(np.isfinite(result.servo.torque_limit))
+    peaks, motions = find_asked_torques(result, logged, study.training)
     return review_result(
         result,
-        peaks=None if result.servo is None else _find_peaks(logged, result.servo),
-        motions=study.training if unlimited else (),
+        peaks=peaks,
+        motions=motions,
         tolerance=tolerance,
         findings=study.findings,
     )
-
-
-def _find_peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
-    """Return the largest torque (n,) that the servo of each joint was asked for."""
-    # Without its limits, so that what was asked for shows.
-    free = replace(servo, torque_limit=())
-    heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
-    asked = [drive_by_command(head, free).tau for head in heads if head.command is not None]
-    return np.asarray(np.max([np.abs(tau).max(axis=0) for tau in asked], axis=0))

@@ -21,6 +21,7 @@ from .files import quote_yaml as quote_yaml
 from .files import with_files as with_files
 from .models.as_built import as_built as as_built
 from .models.c.c_code import CCode as CCode
+from .models.control import note_left_out_servo as note_left_out_servo
 from .models.convert import Conversion as Conversion
 from .models.convert import convert_robot as convert_robot
 from .models.ensembles import EnsembleFiles as EnsembleFiles
@@ -29,7 +30,6 @@ from .models.ensembles import write_ensemble as write_ensemble
 from .models.export import OBSERVERS as OBSERVERS
 from .models.export import Export as Export
 from .models.export import export_result as export_result
-from .models.physical import note_left_out_servo as note_left_out_servo
 from .models.robot_toml import write_robot_toml as write_robot_toml
 from .models.simulator_format import SIMULATOR_FORMATS as SIMULATOR_FORMATS
 from .models.simulator_format import ExportedDrives as ExportedDrives

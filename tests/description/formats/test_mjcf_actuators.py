@@ -11,8 +11,11 @@ from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.dynamics.drives.position_servo import read_described_servo
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    build_robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import Windows
 
 STEP = 1e-3
 SCENE = """

@@ -14,7 +14,7 @@ from asbuilt.experiment.command.magnitude import (
     is_magnitude,
     sign_by_command,
 )
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.quality.signal_checks import describe_laws
 
 DUTY, VOLTAGE, RESISTANCE, INDUCED = 3.0, 12.0, 4.0, 1.8

@@ -14,9 +14,8 @@ from asbuilt.description import bundled_robot, load_robot
 from asbuilt.dynamics import PositionServo
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import ReadingOptions, Recording, check_recording, read_fitted_recordings
-from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.quality.checks import FROM_COMMANDS
-from asbuilt.experiment.quality.command_checks import check_commands
+from asbuilt.experiment.command.torque import drive_by_command
+from asbuilt.experiment.quality.command_checks import EXPLAINED, check_commands
 
 SHARED = Path(__file__).parents[4] / "shared"
 MODEL = bundled_robot("so-101")
@@ -69,7 +68,7 @@ def test_one_finding_names_what_is_wrong_with_the_commands(log: Recording, case:
     of_commands = [f for f in check.findings if f.code.startswith("command_")]
     assert {each.code for each in of_commands} == {code}
     assert said in of_commands[0].message
-    assert not set(check.codes) & set(FROM_COMMANDS)
+    assert not set(check.codes) & set(EXPLAINED)
 
 
 def test_one_joint_in_degrees_is_named(log: Recording) -> None:

@@ -86,27 +86,24 @@ def test_the_same_seed_gives_the_same_robots(result: IdentificationResult) -> No
 def test_the_friction_of_a_joint_follows_the_stiffness_of_its_servo() -> None:
     result = servo_result(shared=False, relative=0.2)
     ensemble = draw_ensemble(result, 400, rng=0)
-    assert ensemble.kp is not None
     place = [ensemble.names.index(name) for name in ("Fc1", "Fc2")]
-    found = np.corrcoef(ensemble.table[:, place].T, ensemble.kp.T)[:2, 2:]
+    found = np.corrcoef(ensemble.table[:, place].T, ensemble.gains.kp.T)[:2, 2:]
     np.testing.assert_allclose(found, np.eye(2), atol=0.15)
 
 
 def test_a_shared_stiffness_scales_the_whole_robot() -> None:
     result = servo_result(shared=True, relative=0.2)
     table = draw_ensemble(result, 400, rng=0)
-    assert table.kp is not None
     assert result.servo is not None
-    factors = table.kp / np.array(result.servo.kp)
+    factors = table.gains.kp / np.array(result.servo.kp)
     np.testing.assert_allclose(factors[:, 0], factors[:, 1], rtol=1e-12)
     assert np.std(np.log(factors[:, 0])) == pytest.approx(0.2, rel=0.15)
     places = [result.base.names.index(f"Fc{k}") for k in (1, 2)]
     friction = (table.parameters @ result.base.regrouping.T)[:, places]
     for column in friction.T:
         assert np.corrcoef(column, factors[:, 0])[0, 1] > 0.98
-    assert table.delay is not None
-    assert np.std(table.delay) == pytest.approx(5e-4, rel=0.2)
-    assert table.servo(7).kp == tuple(table.kp[7])  # type: ignore[union-attr]
+    assert np.std(table.gains.delay) == pytest.approx(5e-4, rel=0.2)
+    assert table.gains.law(7).kp == tuple(table.gains.kp[7])  # type: ignore[union-attr]
 
 
 def test_no_robots_are_refused(result: IdentificationResult) -> None:

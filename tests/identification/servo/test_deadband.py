@@ -8,7 +8,7 @@ from tests.identification.servo.test_servo_estimate import KP, RATE, ROBOT, STEP
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics import DriveSet, PositionServo
 from asbuilt.experiment import Recording, SignalChain, resolve_chain
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.servo import CommandedTorque
 

@@ -9,7 +9,7 @@ from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.dynamics.drives.position_servo import read_described_servo
 from asbuilt.experiment import Recording, SignalChain, prepare_samples, resolve_chain
-from asbuilt.experiment.command.servo_torque import drive_by_command, hold_command
+from asbuilt.experiment.command.torque import drive_by_command, hold_command
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors

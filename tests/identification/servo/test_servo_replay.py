@@ -9,7 +9,7 @@ from asbuilt.description import DriveValues
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.experiment import Recording, SignalChain, prepare_samples, resolve_chain
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.identification.servo.servo_replay import (
@@ -17,8 +17,11 @@ from asbuilt.identification.servo.servo_replay import (
     replay,
     replay_recording,
 )
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    build_robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import Windows
 
 pytest.importorskip("mujoco")
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows

@@ -10,8 +10,8 @@ import pytest
 from asbuilt.dynamics import DriveSet, find_base_parameters, forward_dynamics
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import DriveSignal, SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
 from coupled_robots import palletizer
 
 DRIVE = DriveSet.parse("armature,viscous,coulomb,offset")

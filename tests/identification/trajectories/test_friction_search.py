@@ -11,7 +11,7 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from asbuilt.arrays import Array
 from asbuilt.dynamics import DriveSet, available_terms, parameter_values
 from asbuilt.experiment import SignalChain, prepare_samples
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.trajectories.refined_fit import (
     RefinedFit,

@@ -11,7 +11,7 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from asbuilt.arrays import Array
 from asbuilt.dynamics import DriveSet, parameter_values
 from asbuilt.experiment import SignalChain, prepare_samples
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.trajectories.objective import Quadratic, Weights
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
@@ -53,8 +53,8 @@ def test_refinement_recovers_the_truth_within_its_intervals(
     assert len(drives) == 4, "armatures are regrouped with the links of a planar arm"
     assert np.all(np.abs(estimate - truth)[drives] < 4.0 * error[drives] + 0.02 * truth[drives])
     assert np.all(error[drives] < 0.2 * truth[drives] + 0.01)
-    assert refined.servo is not None
-    assert refined.servo.delay == pytest.approx(0.006, abs=5e-4)
+    assert refined.law.servo is not None
+    assert refined.law.servo.delay == pytest.approx(0.006, abs=5e-4)
     linear = study[0].estimate.beta
     assert np.linalg.norm((estimate - truth)[drives]) < 0.5 * np.linalg.norm(
         (linear - truth)[drives]
@@ -94,8 +94,8 @@ def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Wi
             fit,
             [windows],
             high,
-            of_servo=ServoCoordinates(stiffness=True, delay=True, spread=spread),
-        ).servo
+            free=ServoCoordinates(stiffness=True, delay=True, spread=spread),
+        ).law.servo
         for spread in (1.0, 1e-3)
     }
     free, held = moved[1.0], moved[1e-3]
@@ -122,12 +122,12 @@ def test_a_lead_is_told_from_times_that_are_skewed(lead: float, late: float, ske
         fit,
         [cut_windows(recording, whole, 0.5)],
         begun,
-        of_servo=ServoCoordinates(delay=True, lead=True),
+        free=ServoCoordinates(delay=True, lead=True),
     )
-    assert found.servo is not None
-    assert found.servo.delay == pytest.approx(late - skew, abs=1.5e-3)
-    np.testing.assert_allclose(found.servo.leads, lead, atol=2e-3)
-    assert np.isfinite(found.lead_error) == (lead > 0.0)
+    assert found.law.servo is not None
+    assert found.law.servo.delay == pytest.approx(late - skew, abs=1.5e-3)
+    np.testing.assert_allclose(found.law.servo.leads, lead, atol=2e-3)
+    assert np.isfinite(found.law.lead_error) == (lead > 0.0)
 
 
 def test_windows_of_a_recording_share_what_the_model_gets_wrong() -> None:

@@ -17,10 +17,11 @@ from asbuilt.experiment import Samples
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
     SimulatedRobot,
     build_robot_as_described,
 )
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cut_windows
+from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 pytest.importorskip("mujoco")
 assert format_mjcf

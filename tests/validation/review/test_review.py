@@ -12,7 +12,7 @@ from asbuilt.dynamics import DriveSet, PositionServo, parameter_values
 from asbuilt.errors import UsageError
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.validation import CadTolerance
 from asbuilt.validation.review.claimed_numbers import (
     ClaimedNumber,

@@ -13,8 +13,11 @@ from tests.identification.trajectories.test_simulation import samples_of
 
 from asbuilt.description import bundled_robot
 from asbuilt.executor import open_workers
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cut_windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    build_robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation import rollout_findings
 from asbuilt.validation.rollout.position_errors import (
     delay_command,

@@ -11,8 +11,11 @@ from asbuilt.description import DriveValues, RobotModel, bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics import PositionServo
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    build_robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.writers.models.mjcf import export_mjcf
 
 STEP = 1e-3

@@ -17,6 +17,7 @@ import typer
 import asbuilt
 from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
+from asbuilt.description.load import BaseOptions
 from asbuilt.ranges import Range, make_range_error
 from asbuilt.writing import check_replaceable, check_writable
 
@@ -124,18 +125,6 @@ FixedBase = Annotated[
     bool,
     typer.Option(
         "--fixed-base", help="hold a free joint of the robot at its pose (a robot hung in the air)"
-    ),
-]
-FreeBase = Annotated[
-    bool,
-    typer.Option("--free-base", help="the robot stands on no fixed root: legs, drones, satellites"),
-]
-Contacts = Annotated[
-    str | None,
-    typer.Option(
-        "--contacts",
-        metavar="FRAME,...",
-        help="links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
     ),
 ]
 Out = Annotated[
@@ -277,15 +266,10 @@ def parse_delay(text: str) -> float | tuple[float, ...] | Literal["auto"] | None
 
 
 def load_described_robot(
-    robot: str, *, fixed_base: bool = False, free_base: bool = False, contacts: str | None = None
+    robot: str, base: BaseOptions | None = None, *, fixed_base: bool = False
 ) -> asbuilt.RobotModel:
-    """Return the robot that a name or a path describes, its base held or free if that is asked."""
-    return asbuilt.load_robot(
-        robot,
-        fixed_base=fixed_base,
-        base="free" if free_base else "fixed",
-        contacts=contacts or "",
-    )
+    """Return the robot that a name or a path describes, on a base as the options have it."""
+    return (base or BaseOptions(fixed_base=fixed_base)).load_robot(robot)
 
 
 def is_result(path: str) -> bool:
@@ -363,9 +347,7 @@ def read_recordings_of_robot(
         {
             "--lock": reading.lock is not None,
             "--gravity": reading.gravity is not None,
-            "--fixed-base": reading.fixed_base,
-            "--free-base": reading.free_base,
-            "--contacts": reading.contacts is not None,
+            **find_given_options(reading.base),
         },
     )
     return asbuilt.as_recordings(model, logs or [], reading)  # type: ignore[return-value]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.free_base import BaseKind
+from asbuilt.description.structure.parts import BaseKind
 from asbuilt.registry import Registry
 
 

@@ -52,7 +52,8 @@ from asbuilt.description.rotation import (
     rpy_from_rotation,
     straighten_angle,
 )
-from asbuilt.description.structure.free_base import BaseKind, clear_base_inertias, free_mjcf
+from asbuilt.description.structure.free_base import clear_base_inertias, free_mjcf
+from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 

@@ -43,7 +43,8 @@ from asbuilt.description.rotation import (
     rotation_onto,
     straighten_angle,
 )
-from asbuilt.description.structure.free_base import BaseKind, clear_base_inertias, free_urdf
+from asbuilt.description.structure.free_base import clear_base_inertias, free_urdf
+from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure, join_names
 

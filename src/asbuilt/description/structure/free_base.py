@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.structure.parts import Joint, Link
+from asbuilt.description.structure.parts import BaseKind, Joint, Link
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-
-BaseKind = Literal["fixed", "free", "planar"]
 
 AXES = {
     "base_x": ("prismatic", "1 0 0"),
@@ -185,12 +182,12 @@ def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
         )
 
 
-def refuse_ground(robot: str, contacts: Sequence[object], refine: object) -> None:
+def refuse_ground(robot: str, contacts: Sequence[object]) -> None:
     """Raise `UsageError` where a robot with contacts shall be refined by trajectories.
 
     A refinement follows how trajectories depend on parameters, which jumps where feet strike.
     """
-    if refine and contacts:
+    if contacts:
         raise UsageError(
             f"{robot} touches the ground, and a refinement by trajectories simulates none, since"
             " how they depend on the parameters jumps where feet strike",

@@ -14,6 +14,8 @@ from asbuilt.description.rotation import check_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
+BaseKind = Literal["fixed", "free", "planar"]
+"""How the base of a robot can move."""
 Symbols = tuple[tuple[tuple[float, str], ...], ...]
 """A translation with symbols for lengths: for x, y and z a sum of (factor, symbol), e.g.
 

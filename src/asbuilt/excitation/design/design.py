@@ -13,7 +13,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
-from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters, inverse_dynamics
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
@@ -401,9 +400,7 @@ def design_motion(
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     refuse_open_postures(model)
-    refuse_free_base(
-        model.name,
-        model.n_floating,
+    model.require_root(
         "a motion on which it keeps its balance is not designed; squat, twist the trunk and lift"
         " single legs",
     )

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import draw_postures_within, find_first_posture
 from asbuilt.errors import MotionError
-from asbuilt.excitation.limits import MotionBounds, check_motion
+from asbuilt.excitation.limits import MotionBounds, check_motion, make_open_error
 from asbuilt.excitation.motions.motion import BasisMotion, Motion, check_way_points
 from asbuilt.excitation.motions.parametrisation import (
     HARMONICS,
@@ -214,7 +214,7 @@ ATTEMPTS = 40
 """How often that is tried."""
 
 CHECKED_RATE = 100.0
-"""Rate at which torque and loops of a random motion are checked [Hz]."""
+"""Rate at which torque and postures of a random motion are checked [Hz]."""
 
 
 def random_fourier(
@@ -232,14 +232,14 @@ def random_fourier(
 
     Coefficients are normal, alike for all harmonics; each joint's mean position is drawn where its
     amplitude allows. Limits that the description does not give come from
-    `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink. Where loops do
-    not close everywhere within the limits, it shrinks towards the posture of the description.
+    `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink. Where not
+    every posture within the limits exists, it shrinks towards the posture of the description.
 
     Raises
     ------
     MotionError
         If the robot cannot hold its weight within the torque limits even at small amplitudes, or
-        its loops close nowhere about the posture of the description.
+        no postures exist about that of the description.
     """
     if n_harmonics < 2 or periods < 1:
         raise MotionError(
@@ -340,10 +340,7 @@ def _make_torque_error(model: RobotModel) -> MotionError:
     if find_first_posture(model) is not None and not np.any(
         np.isfinite(MotionBounds.of(model).torque)
     ):
-        return MotionError(
-            f"{model.name}: no random motion was found along which the loops close; check points of"
-            " the loops and the posture of the description"
-        )
+        return make_open_error(model)
     return MotionError(
         f"{model.name}: no random motion within the torque limits ({limits}) was found, however"
         " slow; check torque limits, masses and gravity, or raise `fraction`"

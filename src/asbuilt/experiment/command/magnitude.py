@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.servo_torque import (
+from asbuilt.experiment.command.torque import (
     LOGGED,
     differentiate_logged_positions,
     hold_command,

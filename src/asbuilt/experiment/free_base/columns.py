@@ -22,7 +22,10 @@ from asbuilt.experiment.free_base.feet import (
     select_force_columns,
     with_measured_forces,
 )
-from asbuilt.experiment.free_base.sensor_checks import normalise_quaternions
+from asbuilt.experiment.free_base.inertial_sensor import (
+    normalise_quaternions,
+    with_inertial_base,
+)
 from asbuilt.experiment.logs.columns.layout import find_column
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -168,7 +171,7 @@ def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = 
         If a column is missing, a quaternion has not the length 1, the base pitches to 90 degrees,
         or a log of commands has forces on the base.
     """
-    if recording.servo is not None and "base_fx" in recording.extra:
+    if recording.drive_law is not None and "base_fx" in recording.extra:
         raise RecordingError(
             f"{recording.source} has forces on the base (base_fx) and commands in place of torques,"
             " to which measured forces are not added",
@@ -176,32 +179,18 @@ def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = 
             file=recording.source,
         )
     if any(name.startswith("imu_") for name in recording.extra):
-        from asbuilt.experiment.free_base.inertial_sensor import (  # noqa: PLC0415 - light start
-            with_inertial_base,
-        )
-
         recording = with_inertial_base(recording, model, sensor)
     contact = _find_closed_contacts(recording, model) if model.contacts else None
     q, notes = _read_pose(recording, model)
     qd, qdd = _read_rates(recording, model, q)
-    still = np.zeros_like(q)
-    base = model.joint_names[: model.n_floating]
-    found = replace(
+    recording = replace(
         recording,
-        q=np.hstack([q, recording.q]),
-        tau=np.hstack([still, recording.tau]),
-        qd=None if qd is None or recording.qd is None else np.hstack([qd, recording.qd]),
-        qdd=None if qdd is None or recording.qdd is None else np.hstack([qdd, recording.qdd]),
-        joint_names=(*base, *recording.joint_names),
         notes=(*recording.notes, *notes),
-        gains=None if recording.gains is None else (*[1.0] * len(base), *recording.gains),
         extra=select_force_columns(recording.extra),
-        undriven=base,
         contact=contact,
-        command=None if recording.command is None else np.hstack([still, recording.command]),
-        servo=None if recording.servo is None else recording.servo.behind_base(len(base)),
     )
-    return with_measured_forces(found, model) if found.servo is None else found
+    found = recording.behind(model.joint_names[: model.n_floating], q, qd, qdd)
+    return with_measured_forces(found, model) if found.drive_law is None else found
 
 
 def _find_closed_contacts(recording: Recording, model: RobotModel) -> Array:

@@ -6,22 +6,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import sign_by_command
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_as_stated
 from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.columns.roles import parse_file_quantity, recognise
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, spread_over_joints
 from asbuilt.findings import Cure
 
 FILE_QUANTITIES = {"position", "velocity", "acceleration", "torque"}
@@ -223,13 +221,7 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     gain = options.gain if options.gain is not None else sheet.gains
     recording = recording if gain is None else recording.scaled(gain)
     recording = recording.flipped() if options.flip_torque else recording
-    servo = None
-    if recording.torque_source == "command" and recording.command is not None:
-        servo = build_stated_servo(recording, sheet, options)
-    if servo is not None:
-        return drive_by_command(recording, servo)
-    _refuse_idle_servo(recording, options)
-    return recording
+    return drive_as_stated(recording, sheet, options)
 
 
 def _list_stated(sheet: RecordingSheet, options: ReadingOptions) -> frozenset[str]:
@@ -251,45 +243,6 @@ def keep_windows(recording: Recording, sheet: RecordingSheet) -> Recording:
     kept = recording.taken(inside, "no sample lies in the time windows that are kept")
     note = f"{kept.n_samples} of {inside.size} samples lie in the time windows that are kept"
     return replace(kept, notes=(*kept.notes, note))
-
-
-def _refuse_idle_servo(recording: Recording, options: ReadingOptions) -> None:
-    """Raise if options describe the servo of a recording that has none."""
-    given = [name for name in PER_JOINT if getattr(options, name) is not None]
-    problem = f"has torques in addition to its commands (source: {recording.torque_source})"
-    cure = Cure("use its commands in their place", settings={"torque_source": "command"})
-    if recording.command is None:
-        problem = "has no commanded positions"
-        cure = Cure('name their columns in a recording sheet: [columns] command = ["..."]')
-    if given:
-        raise RecordingError(
-            f"{recording.source} {problem}, so that {', '.join(given)} of a servo would have no"
-            " effect",
-            cure=cure,
-            file=recording.source,
-            value=given,
-        )
-
-
-ABSENT = {"torque_limit": np.inf, "no_load_speed": np.inf, "goal_speed": np.inf, "lead": 0.0}
-"""What a servo is taken to lack unless it is stated, as the number that says so."""
-WORDS = {None: np.nan, "auto": np.nan, "none": np.inf}
-
-
-def spread_over_joints(recording: Recording, given: Any, what: str) -> Array:
-    """Return numbers that are given once or per joint as (n,); "auto" and None are NaN."""
-    listed = given if isinstance(given, list | tuple) else [given]
-    numbers = np.array([WORDS[each] if each in WORDS else float(each) for each in listed])
-    if numbers.size not in (1, recording.n_joints):
-        raise RecordingError(
-            f"{recording.source}: {numbers.size} {what} for {recording.n_joints} joints"
-            f" ({', '.join(recording.joint_names)})",
-            cure=Cure("give one, or one per joint"),
-            file=recording.source,
-            value=numbers.tolist(),
-            expected=recording.n_joints,
-        )
-    return np.broadcast_to(numbers, recording.n_joints)
 
 
 def _apply_conventions(recording: Recording, sheet: RecordingSheet) -> Recording:
@@ -318,27 +271,6 @@ def _apply_conventions(recording: Recording, sheet: RecordingSheet) -> Recording
         command=convert(recording.command, signs * zeros),
         notes=(*recording.notes, *notes),
     )
-
-
-def build_stated_servo(
-    recording: Recording, sheet: RecordingSheet, options: ReadingOptions
-) -> PositionServo | None:
-    """Return the servo that options and sheet state; None if the torque itself was commanded.
-
-    That is so where the sheet names torque columns, no command and no gains.
-    """
-    given = {
-        name: getattr(sheet if getattr(options, name) is None else options, name)
-        for name in PER_JOINT
-    }
-    stated = sheet.columns.command is not None or any(x is not None for x in given.values())
-    if sheet.columns.torque is not None and not stated:
-        return None
-    numbers: dict[str, Any] = {}
-    for name, each in given.items():
-        values = spread_over_joints(recording, each, f"values of {name}")
-        numbers[name] = tuple(np.where(np.isnan(values), ABSENT.get(name, np.nan), values).tolist())
-    return PositionServo(**numbers)
 
 
 def find_clock_origin(t: Array) -> float:

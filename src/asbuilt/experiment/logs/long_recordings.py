@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -13,9 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
 from asbuilt.experiment.logs.columns.layout import QUANTITIES
 from asbuilt.experiment.logs.formats.log_format import choose_log_format
@@ -131,8 +129,8 @@ class RecordingStream:
         Samples per chunk.
     joints
         Joints to keep, in order; None: the robot's.
-    servo
-        The position servo whose torque each chunk gets; None: as stated.
+    change
+        What is made of each chunk, such as another torque; None: nothing.
 
     Examples
     --------
@@ -145,7 +143,7 @@ class RecordingStream:
     options: ReadingOptions = field(default_factory=ReadingOptions)
     chunk_samples: int = CHUNK
     joints: tuple[str, ...] | None = None
-    servo: PositionServo | None = None
+    change: Callable[[Recording], Recording] | None = field(default=None, repr=False)
 
     @property
     def source(self) -> str:
@@ -161,7 +159,7 @@ class RecordingStream:
             self.path, model=self.model, options=self.options, chunk_samples=chunk_samples
         ):
             kept = chunk if self.joints is None else chunk.reordered(self.joints)
-            yield kept if self.servo is None else drive_by_command(kept, self.servo)
+            yield kept if self.change is None else self.change(kept)
 
     @cached_property
     def head(self) -> Recording:

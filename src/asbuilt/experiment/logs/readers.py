@@ -22,11 +22,9 @@ from asbuilt.experiment.logs.assembly import (
 )
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
-    GOALS,
-    match_commanded_role,
     parse_file_quantity,
     parse_unit_scale,
-    recognise,
+    recognise_any,
 )
 from asbuilt.experiment.logs.columns.unnamed_columns import (
     draft_sheet,
@@ -43,6 +41,7 @@ from asbuilt.experiment.logs.mending import LogMender
 from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange, find_sheet_beside, read_sheet
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.root import root_of
 from asbuilt.findings import Cure
 from asbuilt.untrusted import note_input
 
@@ -225,16 +224,13 @@ def read_recording(
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
-    if model is None or not model.n_floating:
-        return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
-    from asbuilt.experiment.free_base.columns import (  # noqa: PLC0415 - light start
-        add_base_coordinates,
-        with_base_columns,
-    )
 
-    recording, sensor = with_base_columns(recording, table, sheet, model)
-    recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
-    return add_base_coordinates(recording, model, sensor)
+    def finish(recording: Recording) -> Recording:
+        return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
+
+    if model is None:
+        return finish(recording)
+    return root_of(model).complete(recording, table, sheet, finish)
 
 
 def read_recordings(
@@ -396,10 +392,7 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
 
 def _is_whole(table: LogTable) -> bool:
     """Return whether columns give positions, and torques or commands."""
-    roles = [
-        recognise(name) or match_commanded_role(name) or match_commanded_role(name, GOALS)
-        for name in table.columns
-    ]
+    roles = map(recognise_any, table.columns)
     found = {role.quantity for role in roles if role is not None}
     return "position" in found and bool({"torque", "current", "command"} & found)
 

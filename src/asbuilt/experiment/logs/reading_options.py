@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from asbuilt.description.load import BaseOptions
 from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
@@ -21,6 +22,8 @@ from asbuilt.ranges import Range, check_ranges, make_range_error
 from asbuilt.registry import divide_settings
 
 PathLike = str | Path
+OF_BASE = tuple(entry.name for entry in fields(BaseOptions))
+"""Options that concern the base of the robot."""
 
 
 def _parse_numbers(text: str) -> tuple[float, ...]:
@@ -282,9 +285,9 @@ class ReadingOptions:
         return sheet.model_copy(update={"windows": windows})
 
     @property
-    def of_base(self) -> dict[str, Any]:
-        """The options that concern the base of the robot, by name."""
-        return {name: getattr(self, name) for name in ("fixed_base", "free_base", "contacts")}
+    def base(self) -> BaseOptions:
+        """The options that concern the base of the robot."""
+        return BaseOptions(**{name: getattr(self, name) for name in OF_BASE})
 
     def __post_init__(self) -> None:
         if self.torque_source not in (None, *TORQUE_SOURCES):

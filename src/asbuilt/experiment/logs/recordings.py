@@ -20,8 +20,14 @@ from asbuilt.experiment.logs.readers import (
     group_files,
     read_recording,
 )
-from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
+from asbuilt.experiment.logs.reading_options import (
+    OF_BASE,
+    PathLike,
+    ReadingOptions,
+    merge_reading_options,
+)
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.root import root_of
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 
@@ -74,7 +80,7 @@ def as_recordings(
     listed = _list_items(items)
     groups = group_files([Path(item) for item in listed if isinstance(item, str | Path)])
     group_of = {path: group for group in groups for path in group}
-    floats = model is not None and model.n_floating > 0
+    moves = model is not None and model.mixes_joints
     found: list[Recorded] = []
     for item in listed:
         source: Any = item
@@ -82,7 +88,7 @@ def as_recordings(
             group = group_of[Path(item)]
             if group[0] != Path(item):
                 continue  # read with the first file of its recording
-            whole = len(group) > 1 or floats or not is_long(group[0], streamed_from)
+            whole = len(group) > 1 or moves or not is_long(group[0], streamed_from)
             source = group if whole else RecordingStream(group[0], model, chosen)
         read = isinstance(source, Recorded)
         found.append(source if read else read_recording(source, model=model, options=chosen))
@@ -160,13 +166,7 @@ def read_fitted_recordings(
         read = [[_select_joints(item, model.joint_names) for item in items] for items in read]
     refuse_same_recordings([item for items in read for item in items])
     whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
-    if model.has_reactions:
-        from asbuilt.experiment.free_base.feet import (  # noqa: PLC0415 - light start
-            set_rolling_radii,
-        )
-
-        model = set_rolling_radii(model, whole_ones)
-    return model, read
+    return root_of(model).settle(model, whole_ones), read
 
 
 def refuse_same_recordings(items: Sequence[Recorded]) -> None:
@@ -204,7 +204,7 @@ def _hold_the_same(one: Recorded, other: Recorded) -> bool:
     )
 
 
-OF_THE_ROBOT = ("lock", "gravity", "fixed_base", "free_base", "contacts")
+OF_THE_ROBOT = ("lock", "gravity", *OF_BASE)
 """Options of reading that concern recordings which are read already, too."""
 
 

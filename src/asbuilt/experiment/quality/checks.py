@@ -19,8 +19,7 @@ from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, take_first_samples
 from asbuilt.experiment.logs.reading_options import merge_reading_options
 from asbuilt.experiment.logs.recordings import RecordingLike, read_fitted_recordings
-from asbuilt.experiment.quality.clock_checks import check_clock
-from asbuilt.experiment.quality.command_checks import check_commands
+from asbuilt.experiment.quality.command_checks import EXPLAINED, check_commands
 from asbuilt.experiment.quality.motion_checks import (
     check_excitation,
     check_recorded_motion,
@@ -36,14 +35,15 @@ from asbuilt.experiment.quality.passes import (
 from asbuilt.experiment.quality.position_checks import (
     MEASURED,
     PositionNoise,
-    check_closure,
-    check_couplings,
     check_encoders,
+    check_followers,
     check_positions,
+    check_structure,
 )
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.signal_checks import (
     check_channels,
+    check_clock,
     check_noise_floor,
     check_saturation,
     check_signs,
@@ -57,30 +57,13 @@ from asbuilt.experiment.quality.unit_checks import (
     report_position_unit,
 )
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
+from asbuilt.experiment.root import root_of
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
+from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings
 from asbuilt.tables import preformat, wrap_text
 
 TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
-UNKNOWN_TORQUE = ("torque_flipped", "joint_torque_flipped", "torque_scale")
-"""Codes of errors that mean wrong or unknown gains, for uses that look for the gains."""
-FROM_COMMANDS = (
-    *UNKNOWN_TORQUE,
-    *("gravity_absent", "gravity_direction", "gravity_partial"),
-    *("joint_convention", "joint_torque_scale", "joints_swapped"),
-    *("no_torque", "saturation", "servo_stiffness", "torque_limit", "torque_spikes"),
-    *("torque_uncorrelated", "torque_unsigned"),
-)
-"""Codes of findings that wrong commands explain."""
-OF_MODEL_TORQUES = (
-    *UNKNOWN_TORQUE,
-    *("gravity_absent", "gravity_direction", "gravity_partial"),
-    *("joint_convention", "joint_torque_scale", "joints_swapped"),
-    *("torque_uncorrelated", "torque_unsigned"),
-    *("rank_deficient", "weak_excitation"),
-)
-"""Codes of findings about a robot that is held: on legs contacts push it, and excite it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -262,9 +245,9 @@ def check_recording(
     """
     if not (isinstance(model, RobotModel) and isinstance(recording, Recording | RecordingStream)):
         return check_recording(*_read_one(model, recording, settings))
-    # A stream of a robot with a free base is checked as one with a held base.
-    if model.n_floating and not isinstance(recording, RecordingStream):
-        return _check_of_free_base(model, recording)
+    # Where the root moves, a stream is checked as if it were held.
+    if root_of(model).moves and isinstance(recording, Recording):
+        return _check_with_root(model, recording)
     chunks = recording if isinstance(recording, RecordingStream) else (recording,)
     known = run_first_pass(model, chunks)
     findings = list(check_clock(known))
@@ -275,22 +258,22 @@ def check_recording(
             model, blank_incredible(take_first_samples(recording, MEASURED))
         )
         beginning = beginning.with_torque_of(known.first.has_torque)
-        of_loops = list(check_closure(model, beginning))
+        of_structure = list(check_structure(model, beginning))
         of_commands = list(check_commands(model, beginning))
-        # Loops that stay open contradict positions and torques at once: one cause, one finding.
-        findings += [*of_loops, *of_commands]
-        follows = not any(f.severity == "error" for f in of_loops)
+        # Positions that no posture has contradict torques too: one cause, one finding.
+        findings += [*of_structure, *of_commands]
+        follows = not any(f.severity == "error" for f in of_structure)
         if follows:
             of_torques = [
                 *_check_in_time(model, chunks, known),
                 *check_signs(model, known.torque_range, beginning),
             ]
             # What wrong commands explain is not said of torques that are computed from them.
-            findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
+            findings += (f for f in of_torques if not (of_commands and f.code in EXPLAINED))
         noise = PositionNoise.of(beginning)
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
-        findings += check_couplings(model, beginning) if follows else ()
+        findings += check_followers(model, beginning) if follows else ()
     findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
     reported = {(finding.code, finding.link) for finding in findings}
     findings += (f for f in _report_description(model) if (f.code, f.link) not in reported)
@@ -308,28 +291,15 @@ def check_recording(
     )
 
 
-def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingCheck:
-    """Check the joints as if the base were held, then base and contacts.
-
-    Checks that compare torques with the model's are left out, since contacts push the robot.
-    """
-    from asbuilt.experiment.free_base.base_checks import (  # noqa: PLC0415 - light start
-        check_free_base,
-        drop_base_joints,
-    )
-
-    held = check_recording(model.standing, drop_base_joints(model, recording))
-    # Cures name a motion designed for a held base, which one on legs cannot use.
-    kept = (
-        replace(f, cure=f.cure and undesigned(f.cure))
-        for f in held.findings
-        if f.code not in OF_MODEL_TORQUES
-    )
-    further = () if _has_clock_error(held.findings) else check_free_base(model, recording)
+def _check_with_root(model: RobotModel, recording: Recording) -> RecordingCheck:
+    """Check the joints as if the root were held, then the root."""
+    root = root_of(model)
+    held = check_recording(*root.hold(recording))
+    has_clock = not _has_clock_error(held.findings)
     return replace(
         held,
         n_joints=model.n_joints,
-        findings=rank_findings([*kept, *further]),
+        findings=rank_findings(root.add_findings(held.findings, recording, has_clock=has_clock)),
         position_step=(),
         position_noise=(),
     )

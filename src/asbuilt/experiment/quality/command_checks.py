@@ -13,6 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.quality.reductions import normalise_columns
+from asbuilt.experiment.quality.torque_fit import COMPARED_TORQUES
 from asbuilt.experiment.recording import Recording, find_advancing_rows
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -25,6 +26,16 @@ UNITS: Mapping[str, float] = MappingProxyType(
 )
 
 
+EXPLAINED = (
+    *COMPARED_TORQUES,
+    *("no_torque", "saturation", "servo_stiffness", "torque_limit", "torque_spikes"),
+)
+"""Codes of findings that wrong commands explain."""
+WRONG_SCALE = (
+    "the stiffness of the servo differs",
+    Cure("check it, or leave it out, so that it is identified"),
+)
+"""What a wrong scale of torques that follow from commands looks like, and what to do."""
 FOLLOWED = 0.9
 LOST = 0.6
 """Correlations from which a position follows a command, and up to which it does not."""
@@ -87,6 +98,23 @@ def check_commands(model: RobotModel, recording: Recording) -> Iterator[Finding]
     ]
     found = found or [*_find_wrong_clock(motion)] or [*_find_lost(motion)]
     yield from found or _find_offset(model, recording.servo, motion)
+
+
+def report_open_scale(model: RobotModel, recording: Recording, scale: float) -> Finding | None:
+    """Return what the masses say of a stiffness that is not stated; None where it is.
+
+    `scale` is the torque as logged per torque of the model.
+    """
+    servo = recording.servo
+    if servo is None or not np.any(np.isnan(servo.kp)):
+        return None
+    return Finding(
+        "servo_stiffness",
+        "info",
+        f"the stiffness of the position servo is not stated; the masses of {model.name} give"
+        f" about {1.0 / scale:.2g} N m/rad",
+        Cure("give the stiffness if it is known; else it is identified, with its error"),
+    )
 
 
 def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:

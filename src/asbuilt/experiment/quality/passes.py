@@ -269,9 +269,9 @@ def _is_credible(what: str, values: Array) -> bool:
 
 
 def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
-    """Yield what was logged by its name; torques of a servo are computed from its command."""
+    """Yield what was logged by its name: the command where torques were computed from it."""
     yield "position", recording.q
-    if recording.servo is not None and recording.command is not None:
+    if recording.drive_law is not None and recording.command is not None:
         yield "command", recording.command
     else:
         yield "torque", recording.tau

@@ -212,7 +212,7 @@ BLOCKS = 10
 """Time blocks from whose scatter the error of a lag follows."""
 
 
-def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def check_structure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Name samples at which the loops do not close, and postures near a singular one."""
     closure = model.closure
     if closure is None:
@@ -267,7 +267,7 @@ def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     )
 
 
-def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def check_followers(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
     # Positions of the joints of all links; NaN at samples that have NaN.
     known = np.isfinite(recording.q).all(axis=1)

@@ -11,6 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import inverse_dynamics
+from asbuilt.experiment.quality.command_checks import WRONG_SCALE, report_open_scale
 from asbuilt.experiment.quality.conventions import check_conventions, check_zeros
 from asbuilt.experiment.quality.gravity_checks import check_gravity, find_friction_sign
 from asbuilt.experiment.quality.passes import FirstPass
@@ -248,16 +249,10 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
         yield _report_opposite_sign(recording, fit, k, sign, alone, gain[k])
     for k in braking:
         yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *braking])
-    servo = recording.first.servo
-    # Unknown stiffness is the scale: there is none to doubt.
-    if servo is not None and np.any(np.isnan(servo.kp)):
-        yield Finding(
-            "servo_stiffness",
-            "info",
-            f"the stiffness of the position servo is not stated; the masses of {model.name} give"
-            f" about {1.0 / scale:.2g} N m/rad",
-            Cure("give the stiffness if it is known; else it is identified, with its error"),
-        )
+    # An unknown stiffness is the scale: there is none to doubt.
+    open_scale = report_open_scale(model, recording.first, scale)
+    if open_scale is not None:
+        yield open_scale
         return
     # A scale of all joints is one unit; single joints are asked after it.
     part = None if "torque" in recording.first.stated else find_part_of_limits(model, gain, clear)
@@ -521,8 +516,7 @@ def _report_scale(
     if recording.first.torque_source == "current":
         return _report_current(model, gain, clear, "error" if sure else "warning")
     if recording.first.torque_source == "command":
-        guess = "the stiffness of the servo differs"
-        cure = Cure("check it, or leave it out, so that it is identified")
+        guess, cure = WRONG_SCALE
     elif 300 < scale < 3000:
         guess = "they look like mN m"
         cure = Cure(

@@ -22,6 +22,16 @@ from asbuilt.scaled import Scaled
 
 T = TypeVar("T")
 
+UNKNOWN_TORQUE = ("torque_flipped", "joint_torque_flipped", "torque_scale")
+"""Codes of errors that mean wrong or unknown gains, for uses that look for the gains."""
+COMPARED_TORQUES = (
+    *UNKNOWN_TORQUE,
+    *("gravity_absent", "gravity_direction", "gravity_partial"),
+    *("joint_convention", "joint_torque_scale", "joints_swapped"),
+    *("torque_uncorrelated", "torque_unsigned"),
+)
+"""Codes of findings that compare measured torques with the model's."""
+
 
 def choose_decisive_change(
     logged: T, changes: Iterable[T], cost: Callable[[T], float], fall: float

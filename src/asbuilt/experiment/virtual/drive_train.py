@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.motion import Trajectory
+from asbuilt.experiment.command.torque import drive_by_command
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.sensors import PerJoint, spread_per_joint
 from asbuilt.findings import Cure
@@ -149,6 +151,9 @@ class PositionController:
         If a value is outside its range.
     """
 
+    logs_torque: ClassVar[bool] = True
+    preset_text: ClassVar[str] = "choose another preset"
+
     bandwidth: float = 12.0
     damping: float = 1.0
     feedforward: FeedForward = "full"
@@ -177,6 +182,10 @@ class PositionController:
                 value=self.bandwidth,
                 upper=self.rate / 20,
             )
+
+    def log(self, recording: Recording, command: Array, model: RobotModel) -> Recording:
+        """Return the recording as it is, of a torque."""
+        return recording
 
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return what the controller follows: the command at its ticks."""
@@ -228,6 +237,9 @@ class JointServo:
         If a value is outside its range.
     """
 
+    logs_torque: ClassVar[bool] = False
+    preset_text: ClassVar[str] = "choose the preset servo"
+
     kp: PerJoint
     kd: PerJoint = 0.0
     delay: float = 0.0
@@ -244,6 +256,11 @@ class JointServo:
             raise UsageError(f"delay must not be negative, got {self.delay}", value=self.delay)
         if not (np.isfinite(self.rate) and self.rate > 0.0):
             raise UsageError(f"rate must be positive, got {self.rate}", value=self.rate)
+
+    def log(self, recording: Recording, command: Array, model: RobotModel) -> Recording:
+        """Return the recording with the command (N, n) in place of the torque."""
+        bare = replace(recording, tau=np.zeros(command.shape), command=command)
+        return drive_by_command(bare, self.law(model))
 
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return the command at the ticks as it arrives: held, delayed, without its velocity.
@@ -274,6 +291,13 @@ class JointServo:
         kp, kd = (spread_per_joint(x, model.n_joints, "kp") for x in (self.kp, self.kd))
         limits = tuple(joint.limits.torque for joint in model.joints)
         return PositionServo(kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), torque_limit=limits)
+
+
+CONTROLLERS: Mapping[str, type[PositionController | JointServo]] = {
+    "controller": PositionController,
+    "servo": JointServo,
+}
+"""What may follow a motion, of which a robot has one, by the name of its settings."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,20 +8,17 @@ from dataclasses import fields, replace
 from typing import Any
 
 from asbuilt.errors import UsageError
-from asbuilt.experiment.virtual.drive_train import DriveTrain, JointServo, PositionController
+from asbuilt.experiment.virtual.drive_train import CONTROLLERS, DriveTrain
 from asbuilt.experiment.virtual.sensors import DataLogger, SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Cure
 
 PARTS: Mapping[str, type] = {
     "train": DriveTrain,
-    "controller": PositionController,
-    "servo": JointServo,
+    **CONTROLLERS,
     "sensors": SensorNoise,
     "logger": DataLogger,
 }
-FOLLOWERS = ("controller", "servo")
-"""Parts of which a robot has one, as its controller."""
 OWN = ("torque", "behind")
 """Settings of the robot itself."""
 SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
@@ -77,21 +74,21 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
             )
         part = known[name]
         field = name.rpartition(".")[2]
-        if robot.controller is None and part in ("", "train", *FOLLOWERS):
+        if robot.controller is None and part in ("", "train", *CONTROLLERS):
             raise UsageError(
                 f"the setting {name!r} belongs to robots in MuJoCo; this one follows exactly",
                 cure=Cure("choose another engine", {"engine": "mujoco"}),
                 value=setting,
             )
-        if part in FOLLOWERS and not isinstance(robot.controller, PARTS[part]):
+        if part in CONTROLLERS and not isinstance(robot.controller, CONTROLLERS[part]):
             raise UsageError(
                 f"the setting {name!r} belongs to a {part}, which the preset {robot.name!r} does"
                 " not have",
-                cure=Cure("choose the preset servo for a servo, another one for a controller"),
+                cure=Cure(CONTROLLERS[part].preset_text),
                 value=setting,
             )
         of_joints = part in PARTS and field in _list_joint_fields(PARTS[part])
-        place = "controller" if part in FOLLOWERS else part
+        place = "controller" if part in CONTROLLERS else part
         changes[place][field] = _parse_value(name, text, of_joints=of_joints)
     own = changes.pop("", {})
     parts = {place: replace(getattr(robot, place), **change) for place, change in changes.items()}

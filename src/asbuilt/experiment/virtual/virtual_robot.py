@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description import LinkInertia, RobotModel
-from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics import (
     DriveSet,
     described_drive,
@@ -21,7 +20,6 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory
-from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.drive_train import (
     DriveTrain,
@@ -100,8 +98,8 @@ class VirtualRobot:
         Its drives: a `DriveTrain` in MuJoCo, or `TermDrives`, any drive terms with their values,
         for a robot that follows exactly.
     controller
-        Position controller or servo in MuJoCo; None for a robot that follows the motion exactly.
-        A servo logs positions and commands, and no torque.
+        What follows the motion in MuJoCo, and says what is logged of it; None for a robot that
+        follows it exactly.
     sensors, logger
         What they do to motion and torque.
     torque
@@ -145,9 +143,7 @@ class VirtualRobot:
     name: str = "custom"
 
     def __post_init__(self) -> None:
-        refuse_free_base(
-            self.model.name, self.model.n_floating, "no ground is simulated on which it could stand"
-        )
+        self.model.require_root("no ground is simulated on which it could stand")
         if self.described is None:
             object.__setattr__(self, "described", self.model)
         elif self.model.joint_names != self.described.joint_names:
@@ -390,11 +386,8 @@ class VirtualRobot:
             notes=(note,),
             extra={} if exact else {"q_command": commanded},
         )
-        if isinstance(self.controller, JointServo):
-            recording = drive_by_command(
-                replace(recording, tau=np.zeros(commanded.shape), command=commanded),
-                self.controller.law(model),
-            )
+        if self.controller is not None:
+            recording = self.controller.log(recording, commanded, model)
         names = parameter_names(model, self.drive)
         return SimulatedRecording(
             recording, self.truth, names, model, self.drive, settings=self.settings
@@ -490,8 +483,8 @@ class VirtualRobot:
         sensed = self.torque == "sensor"
         torque = moved.rigid + self.behind * moved.friction if sensed else moved.motor
         motor = self.train.motor_position(moved.q, moved.motor)
-        servo = isinstance(self.controller, JointServo)
-        source = "no torque" if servo else f"torque from the {self.torque}"
+        assert self.controller is not None
+        source = f"torque from the {self.torque}" if self.controller.logs_torque else "no torque"
         note = (
             f"virtual robot {self.name!r} on MuJoCo, {_describe_seed(rng)}:"
             f" {motion.parametrisation}"

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.special import fdtrc
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
@@ -172,13 +172,13 @@ class DelayEstimate:
     std_errors: Array
     lag: float
     lag_error: float
-    certain: Array
+    certain: Mask
     joint_estimates: Array | None = None
     joint_errors: Array | None = None
     helps: bool | None = None
 
     @property
-    def applied(self) -> Array:
+    def applied(self) -> Mask:
         """Which delays are applied, (R,): above 2 standard errors, and certain or helpful."""
         sure = np.abs(self.estimates) > RULES.significant * self.std_errors
         return np.asarray(sure & (self.certain | bool(self.helps)))

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics import BaseParameters, PositionServo, parameter_names, parameter_units
+from asbuilt.dynamics import BaseParameters, parameter_names, parameter_units
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, InertiaError, UsageError
 from asbuilt.executor import Workers, run_in_order
-from asbuilt.findings import Cure, join_names
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.entropic_path import TO_THE_DATA, EntropicPath
+from asbuilt.identification.ensembles.drawn_gains import DrawnGains, draw_gains
 from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
@@ -123,10 +124,8 @@ class Ensemble:
         Standard parameters of the links and drives, shape (N, n_standard).
     centre
         The same of the estimates themselves, made as every draw is, shape (n_standard,).
-    kp, kd
-        Gains of the position servo (N, n); None without one.
-    delay
-        Delay of the servo [s], shape (N,); None without one.
+    gains
+        What was drawn of the law that made torques of commands; empty where they were measured.
     chi_square
         Squared distance (N,) of each robot from the draw that it stands for, in standard errors:
         large where the draw was physically impossible.
@@ -137,9 +136,7 @@ class Ensemble:
     result: IdentificationResult
     parameters: Array
     centre: Array
-    kp: Array | None
-    kd: Array | None
-    delay: Array | None
+    gains: DrawnGains
     chi_square: Array
     notes: tuple[str, ...] = ()
 
@@ -150,40 +147,23 @@ class Ensemble:
     def names(self) -> tuple[str, ...]:
         """Names of the columns of `table`: `Ixx1 ... m1 ... Ia1 Fv1 ... kp1 ... delay`."""
         model = self.result.model
-        base = self.result.base
-        numbers = range(1, model.n_joints + 1)
-        servo = (*(f"kp{k}" for k in numbers), *(f"kd{k}" for k in numbers), "delay")
-        return (*parameter_names(model, base.drive), *(servo if self.kp is not None else ()))
+        return (*parameter_names(model, self.result.base.drive), *self.gains.names)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the columns of `table`."""
         model = self.result.model
-        base = self.result.base
-        turning = [joint.is_revolute for joint in model.joints]
-        servo = (
-            *("N m/rad" if each else "N/m" for each in turning),
-            *("N m s/rad" if each else "N s/m" for each in turning),
-            "s",
-        )
-        return (*parameter_units(model, base.drive), *(servo if self.kp is not None else ()))
+        return (*parameter_units(model, self.result.base.drive), *self.gains.list_units(model))
 
     @property
     def table(self) -> Array:
         """Every parameter of every robot, shape (N, columns)."""
-        if self.kp is None or self.kd is None or self.delay is None:
-            return self.parameters
-        return np.column_stack([self.parameters, self.kp, self.kd, self.delay])
+        return np.column_stack([self.parameters, self.gains.table])
 
     @property
     def middle(self) -> Array:
         """The same of the estimates themselves, shape (columns,)."""
-        servo = self.result.servo
-        if servo is None or self.kp is None:
-            return self.centre
-        return np.concatenate(
-            [self.centre, np.nan_to_num(np.concatenate([servo.kp, servo.kd])), [servo.delay or 0.0]]
-        )
+        return np.concatenate([self.centre, self.gains.middle])
 
     @property
     def quantiles(self) -> Array:
@@ -195,18 +175,6 @@ class Ensemble:
         """Number of draws that were physically impossible, so that the nearest robot stands in."""
         return int(np.sum(self.chi_square > 1.0))
 
-    def servo(self, draw: int) -> PositionServo | None:
-        """Return the position servo of a robot; None without one."""
-        servo = self.result.servo
-        if servo is None or self.kp is None or self.kd is None or self.delay is None:
-            return None
-        return replace(
-            servo,
-            kp=tuple(self.kp[draw].tolist()),
-            kd=tuple(self.kd[draw].tolist()),
-            delay=float(self.delay[draw]),
-        )
-
 
 def draw_ensemble(
     result: IdentificationResult, n: int, *, rng: Seed = None, workers: Workers | None = None
@@ -214,10 +182,10 @@ def draw_ensemble(
     """Draw robots from the joint uncertainty of a result.
 
     Base parameters are drawn from `N(estimates, covariance)`, and if few time blocks gave the
-    covariance from Student's distribution with their degrees of freedom; a stiffness of a servo
-    that was identified is drawn with its error, and parameters follow the torque scale that it
-    gives: all of them if the joints share one stiffness, else the parameters of the joint's drive,
-    since the links have their scale from CAD. The delay is drawn with its error. Every draw becomes
+    covariance from Student's distribution with their degrees of freedom. Where commands made the
+    torques, `draw_gains` draws their law, and parameters follow the torque scale that it gives: all
+    of them if the joints share it, else the parameters of the joint's drive, since the links have
+    their scale from CAD. Every draw becomes
     a physically consistent robot (`make_draws_consistent`), with friction and armature not below
     zero.
 
@@ -258,17 +226,9 @@ def draw_ensemble(
     drawn = result.estimates + _draw_tails(result, n, random)[:, None] * (
         random.normal(size=(n, covariance.rank)) @ covariance.root
     )
-    kp = None
-    kd = None
-    delay = None
-    notes = list[str]()
-    errors = result.servo_errors
-    if result.servo is not None:
-        kp, factors, notes = _draw_stiffness(result, n, random)
+    gains, factors, notes = draw_gains(result, n, random)
+    if factors is not None:
         drawn = _scale_draws(result, drawn, factors)
-        kd = np.tile(np.nan_to_num(np.array(result.servo.kd)), (n, 1))
-        late = (0.0 if errors is None else errors.delay) * random.normal(size=n)
-        delay = np.maximum((result.servo.delay or 0.0) + late, 0.0)
     root = covariance.inverse_root.T
     prior = build_cad_prior(result.model, result.base.drive)
     chi, chi_square = make_draws_consistent(
@@ -278,13 +238,7 @@ def draw_ensemble(
     chi = chi[1:]
     chi_square = chi_square[1:]
     far = int(np.sum(chi_square > 1.0))
-    lead = 0.0 if errors is None else errors.lead
     possible = (
-        (
-            lead,
-            "the lead of the servo is the identified one in every draw; its standard error is"
-            f" {1e3 * lead:.2g} ms",
-        ),
         (
             any(term.nonlinear for term in result.base.drive.terms),
             "nonlinear parameters of drive terms are the identified ones in every draw",
@@ -297,7 +251,7 @@ def draw_ensemble(
     )
     notes += [note for holds, note in possible if holds]
     notes += _note_odd_masses(result, chi)
-    return Ensemble(result, chi, centre, kp, kd, delay, chi_square, tuple(notes))
+    return Ensemble(result, chi, centre, gains, chi_square, tuple(notes))
 
 
 def _note_odd_masses(result: IdentificationResult, drawn: Array) -> list[str]:
@@ -328,32 +282,6 @@ def _draw_tails(result: IdentificationResult, n: int, random: np.random.Generato
     if not np.isfinite(nu):
         return np.ones(n)
     return np.asarray(np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu])))
-
-
-def _draw_stiffness(
-    result: IdentificationResult, n: int, random: np.random.Generator
-) -> tuple[Array, Array, list[str]]:
-    """Return stiffnesses (N, n_joints), their factors, and notes."""
-    servo = result.servo
-    errors = result.servo_errors
-    if servo is None:
-        raise ValueError("the result has no servo")
-    kp = np.nan_to_num(np.array(servo.kp))
-    joints = result.model.n_joints
-    own = np.zeros(joints) if errors is None or not errors.kp else np.array(errors.kp)
-    relative = np.divide(own, kp, out=np.zeros(joints), where=kp > 0)
-    unknown = ~np.isfinite(relative)
-    relative[unknown] = 0.0
-    shared = errors is not None and errors.shared
-    factors = np.exp(relative * random.normal(size=(n, 1 if shared else joints)))
-    notes = []
-    if np.any(unknown):
-        names = [name for name, each in zip(result.joint_names, unknown, strict=True) if each]
-        notes.append(
-            f"the stiffness of the servo of {join_names(names)} is undetermined: every draw has the"
-            " same one, and only ratios to it mean something"
-        )
-    return kp * factors, factors, notes
 
 
 def _scale_draws(result: IdentificationResult, drawn: Array, factors: Array) -> Array:

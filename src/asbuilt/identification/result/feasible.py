@@ -238,16 +238,9 @@ def feasible_intervals(
 def describe_condition(result: IdentificationResult) -> str:
     """Return what intervals take as given beyond torques; empty for torques that were logged.
 
-    The torque of a servo is known up to its stiffness, which CAD gives a scale if nothing else
-    does: bodies of another scale, with a stiffness of that scale, move alike.
+    Torques that were computed may be known up to a scale alone.
     """
-    errors = result.servo_errors
-    if errors is None or all(each == "given" for each in errors.scale):
-        return ""
-    return (
-        "The stiffness of the servo is not given and takes its scale from CAD: all masses, inertias"
-        " and armatures may be larger or smaller by one common factor as well."
-    )
+    return result.torque_condition
 
 
 def evaluate_quantities(

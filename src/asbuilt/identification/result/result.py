@@ -276,6 +276,11 @@ class IdentificationResult:
         return str(self.summary()._repr_html_())
 
     @property
+    def torque_condition(self) -> str:
+        """What the torques take as given, in a sentence; empty for torques that were logged."""
+        return "" if self.servo_errors is None else self.servo_errors.condition
+
+    @property
     def decided_by_motion(self) -> bool:
         """Whether simulated motion decides its use, since no torque was measured."""
         return self.servo is not None

@@ -15,7 +15,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import hold_command
+from asbuilt.experiment.command.torque import hold_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.rows import TimeBlock

@@ -14,7 +14,7 @@ from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.errors import UsageError
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, fit_logged_magnitude_laws
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior

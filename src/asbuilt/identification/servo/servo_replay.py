@@ -21,7 +21,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, SignalChain
-from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.identification.information.equations import Equations
@@ -32,8 +32,8 @@ from asbuilt.identification.servo.servo_rows import (
     sum_clusters,
 )
 from asbuilt.identification.trajectories.sensitivity import Trajectories
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.trajectories.simulated_robot import DriveSignal, SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 # Settings of a replay: own choices.

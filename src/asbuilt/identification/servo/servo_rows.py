@@ -17,7 +17,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, Samples, SignalChain, hold_out
-from asbuilt.experiment.command.servo_torque import (
+from asbuilt.experiment.command.torque import (
     CommandCurve,
     differentiate_logged_positions,
     drop_saturated,
@@ -404,3 +404,17 @@ class ServoErrors:
     shared: bool = False
     scale: tuple[str, ...] = ()
     kd_unknown: tuple[bool, ...] = ()
+
+    @property
+    def condition(self) -> str:
+        """What estimates take as given of the servo, in a sentence; empty if its gains were given.
+
+        Its torque is known up to its stiffness, which CAD gives a scale if nothing else does:
+        bodies of another scale, with a stiffness of that scale, move alike.
+        """
+        if all(source == "given" for source in self.scale):
+            return ""
+        return (
+            "The stiffness of the servo is not given and takes its scale from CAD: all masses,"
+            " inertias and armatures may be larger or smaller by one common factor as well."
+        )

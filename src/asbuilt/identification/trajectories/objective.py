@@ -5,18 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import pseudo_inertias
-from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, smat, svec
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
-from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates, SimulatedRobot
+from asbuilt.identification.trajectories.simulated_robot import FittedLaw, SimulatedRobot
 from asbuilt.identification.trajectories.start_elimination import Eliminated, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
@@ -38,14 +37,14 @@ Starts = tuple[int, slice, Branch, Eliminated]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """Hold standard parameters (n_standard,), links and drives, the servo, and starts.
+    """Hold standard parameters (n_standard,), links and drives, the law of drives, and starts.
 
     `starts` are position and velocity at the start of the windows of each recording, (W, 2, n);
     they follow the parameters, as far as the windows determine them.
     """
 
     chi: Array
-    servo: PositionServo | None
+    law: FittedLaw
     starts: tuple[Array, ...]
 
 
@@ -85,7 +84,7 @@ class Objective:
 
     The coordinates around a point are S_i of every link, `P_i = L_i exp(S_i) L_i^T` with L_i the
     Cholesky factor of its pseudo-inertia, so that every link is physically consistent; drive
-    parameters; and servo parameters.
+    parameters; and those of the law.
 
     Attributes
     ----------
@@ -96,9 +95,8 @@ class Objective:
     prior, belief
         CAD, and the weight of the divergence from it; infinite holds the links of CAD.
     start
-        Where drive and servo parameters stay if nothing determines them.
-    of_servo
-        What is fitted of the servo.
+        Where parameters of drives and law stay if nothing determines them; what is fitted of the
+        law is the same at every point.
     """
 
     trajectories: Trajectories
@@ -108,7 +106,6 @@ class Objective:
     prior: CadPrior
     belief: float
     start: Point
-    of_servo: ServoCoordinates = field(default_factory=ServoCoordinates)
 
     @property
     def n_links(self) -> int:
@@ -118,14 +115,14 @@ class Objective:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return len(self.start.chi) + self.of_servo.size
+        return len(self.start.chi) + self.start.law.size
 
     def robot(self, point: Point) -> SimulatedRobot:
         """Return the robot of a point, the links of the description in place of its own."""
         model = self.trajectories.model
         drive = self.trajectories.base.drive
         values = point.chi[10 * self.n_links :].reshape(model.n_joints, -1)
-        return SimulatedRobot(model, drive, values, point.servo)
+        return point.law.drive(SimulatedRobot(model, drive, values))
 
     @cached_property
     def links_held(self) -> bool:
@@ -331,8 +328,7 @@ class Objective:
         chi[10 * n :] += step[10 * n : len(chi)]
         bounded = self.prior.non_negative
         chi[bounded] = np.maximum(chi[bounded], 0.0)
-        servo = point.servo and self.of_servo.moved(point.servo, step[len(chi) :])
-        return Point(chi, servo, starts)
+        return Point(chi, point.law.moved(step[len(chi) :]), starts)
 
     def at_bound(self, point: Point, gradient: Array) -> Mask:
         """Return which coordinates are held or lie at their bound with the descent beyond it."""
@@ -340,13 +336,12 @@ class Objective:
         held[self.free] = False
         bounded = self.prior.non_negative
         held[bounded] |= (point.chi[bounded] <= 0.0) & (gradient[bounded] > 0.0)
-        if point.servo is not None:
-            last = len(point.chi)
-            held[last:] |= self.of_servo.at_bound(point.servo, gradient[last:])
+        last = len(point.chi)
+        held[last:] |= point.law.at_bound(gradient[last:])
         return held
 
     def covariance(self, point: Point, quadratic: Quadratic) -> Array:
-        """Return the covariance (p_z, p_z) of base and servo parameters at the minimum."""
+        """Return the covariance (p_z, p_z) of parameters of base and law at the minimum."""
         to_z = self._derive_parameters(point)[:, self.free]
         root = np.linalg.cholesky(quadratic.matrix[np.ix_(self.free, self.free)])
         spread = np.linalg.solve(root, to_z.T)
@@ -361,8 +356,8 @@ class Objective:
         return np.sqrt(of_drives).reshape(self.trajectories.model.n_joints, -1)
 
     def undetermined(self, quadratic: Quadratic) -> tuple[str, ...]:
-        """Return the drive and servo parameters that the trajectories hardly determine."""
-        names = [*self.prior.names, *self.of_servo.names]
+        """Return the parameters of drives and law that the trajectories hardly determine."""
+        names = [*self.prior.names, *self.start.law.names]
         at = np.ix_(self.free, self.free)
         inverse = np.linalg.inv(quadratic.matrix[at])
         held = np.zeros(self.size)
@@ -372,7 +367,7 @@ class Objective:
         return tuple(names[k] for k in drives if held[k] > OBJECTIVE_MOSTLY)
 
     def _derive_parameters(self, point: Point) -> Array:
-        """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
+        """Return how parameters of base and law follow from the coordinates, (p_z, m)."""
         n = self.n_links
         p = self.trajectories.base.n_base
         K = self.trajectories.base.regrouping
@@ -382,15 +377,12 @@ class Objective:
             part = slice(10 * i, 10 * i + 10)
             to_z[:p, part] = K[:, part] @ roots[i]
         to_z[:p, 10 * n : len(point.chi)] = K[:, 10 * n :]
-        if point.servo is not None:
-            to_z[p:, len(point.chi) :] = self.of_servo.columns(point.servo)
+        to_z[p:, len(point.chi) :] = point.law.columns
         return to_z
 
     def _build_torque_rows(self, point: Point) -> tuple[Array, Array]:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
         base = self.trajectories.base
-        own = point.servo
-        start = self.start.servo
         beta = base.regrouping @ point.chi
         rows = []
         rest = []
@@ -398,12 +390,11 @@ class Objective:
             zip(self.information.support, self.information.joint_factors, strict=True)
         ):
             weighted = self.torque_weights[k] * factor
-            scale = 1.0
+            scale, per = point.law.torque_scale(self.start.law, k)
             row = np.zeros((len(factor), self.trajectories.n_parameters))
             row[:, support] = weighted[:, :-1]
-            if own is not None and start is not None and self.of_servo.stiffness:
-                scale = own.kp[k] / start.kp[k]
-                row[:, base.n_base + k] = -weighted[:, -1] / start.kp[k]
+            if per:
+                row[:, base.n_base + k] = -weighted[:, -1] / per
             rows.append(row)
             rest.append(weighted[:, :-1] @ beta[support] - scale * weighted[:, -1])
         return np.concatenate(rows), np.concatenate(rest)
@@ -423,7 +414,7 @@ class Objective:
             matrix[part, part] += weight * 0.5 * (curvature + curvature.T)
 
     def _build_pull(self, point: Point) -> tuple[Array, Array]:
-        """Return weights (m,) of drives and servo toward their start, and how far they are from it.
+        """Return weights (m,) of drives and law toward their start, and how far they are from it.
 
         Both are zero for links.
         """
@@ -431,12 +422,11 @@ class Objective:
         away = np.zeros(self.size)
         chi = point.chi
         drives = slice(10 * self.n_links, len(chi))
-        servo = slice(len(chi), None)
+        law = slice(len(chi), None)
         ridge[drives] = OBJECTIVE_DRIVE_RIDGE / self.prior.drive_scale**2
         away[drives] = (chi - self.start.chi)[drives]
-        ridge[servo] = self.of_servo.weights
-        if point.servo is not None and self.start.servo is not None:
-            away[servo] = self.of_servo.away(point.servo, self.start.servo)
+        ridge[law] = point.law.weights
+        away[law] = point.law.away(self.start.law)
         return ridge, away
 
 

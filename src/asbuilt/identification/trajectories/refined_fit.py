@@ -13,10 +13,19 @@ from asbuilt.dynamics import DriveSet, DriveTerm, PositionServo, find_base_param
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
+from asbuilt.identification.trajectories.law_starts import (
+    RefinedLaw,
+    choose_starts,
+    derive_refined_law,
+)
 from asbuilt.identification.trajectories.objective import Objective, Point
-from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
+from asbuilt.identification.trajectories.refinement import Refinement, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
-from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates, SimulatedRobot
+from asbuilt.identification.trajectories.simulated_robot import (
+    FittedLaw,
+    ServoCoordinates,
+    SimulatedRobot,
+)
 from asbuilt.identification.trajectories.windows import Windows
 
 # Hold weights of a refined fit, and how much is simulated for it.
@@ -26,19 +35,8 @@ from asbuilt.identification.trajectories.windows import Windows
 FIT_SAME_SAMPLES = 0.01
 # Weight of the divergence of links from CAD: about a third of a link, in every direction
 FIT_BELIEF = 10.0
-FIT_STIFFER = 4.0  # Factor of the stiffness of the other start of an unknown servo
-# Fall of the logarithmic likelihood that is beyond chance: three standard errors of a number
-FIT_CHANCE = 4.5
 # Time [s] of all windows simulated for a fit; longer recordings give every k-th window
 FIT_MOST_SECONDS = 60.0
-
-
-FEW = Steps(rounds=1, most=8)
-FEWEST = Steps(rounds=1, most=4)
-"""Steps by which starts are compared: two, and many that lie along a valley."""
-LATE = (0.0, 0.005, 0.01, 0.015, 0.02)
-"""Delays [s] from which the search for a lead starts: positions of servo and log are up to a
-sample late."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +47,8 @@ class RefinedFit:
     ----------
     fit
         The refined fit.
-    servo
-        The servo as refined.
+    law
+        The law that drives the robot, as refined.
     start, robot
         The robots before and after.
     objective, refinement
@@ -58,30 +56,25 @@ class RefinedFit:
     value_errors
         Standard errors of the drive parameters, shape (n, columns_per_joint).
     undetermined
-        Drive and servo parameters that stay near the start.
-    delay_error, stiffness_error, lead_error
-        Standard errors of delay [s], relative stiffness, and lead [s]; NaN if not fitted.
+        Parameters of drives and law that stay near the start.
     """
 
     fit: Fit
-    servo: PositionServo | None
+    law: RefinedLaw
     start: SimulatedRobot
     robot: SimulatedRobot
     objective: Objective
     refinement: Refinement
     value_errors: Array
     undetermined: tuple[str, ...]
-    delay_error: float
-    stiffness_error: float
-    lead_error: float
 
 
 def refine_fit(
     fit: Fit,
     windows: Sequence[Windows],
-    servo: PositionServo | None,
+    law: PositionServo | None,
     *,
-    of_servo: ServoCoordinates | None = None,
+    free: ServoCoordinates | None = None,
     belief: float = FIT_BELIEF,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
@@ -94,16 +87,16 @@ def refine_fit(
         The fit to torques.
     windows
         What to simulate, from the samples of the fit.
-    servo
-        The servo if a command drives the simulation, with all gains known or estimated.
-    of_servo
+    law
+        The law if a command drives the simulation, with all gains known or estimated.
+    free
         What is fitted of it; None: its delay. A lead takes the place of a delay below zero unless
         the trajectories contradict: the log may count positions from a later time.
     belief
         Weight of the divergence of links from CAD; infinite holds the links of CAD.
     begin
         Standard parameters to begin with, (n_standard,), found by trajectories before; None: from
-        the fit, and other starts of an unknown servo.
+        the fit, and other starts of an unknown law.
     progress
         Called with the fraction done.
     """
@@ -118,10 +111,9 @@ def refine_fit(
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
         chi[links] = prior.parameters[links]
-    wanted = of_servo or ServoCoordinates(delay=True)
     windows = thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
-    start = Point(chi, servo, starts)
+    start = Point(chi, FittedLaw.of(law, free), starts)
     share = FIT_SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
     objective = Objective(
         Trajectories(model, base),
@@ -131,15 +123,9 @@ def refine_fit(
         prior,
         belief,
         start,
-        ServoCoordinates() if servo is None else replace(wanted, lead=False),
     )
-    first = start if begin is None else Point(begin, servo, starts)
-    if objective.of_servo.stiffness and servo is not None and begin is None:
-        first = _choose_start(objective, first, servo)
-    if wanted.lead and servo is not None and any(servo.lead):
-        objective = replace(objective, of_servo=wanted)
-    elif wanted.lead and servo is not None:
-        objective, first = _try_lead(objective, first, servo)
+    first = start if begin is None else replace(start, chi=begin)
+    objective, first = choose_starts(objective, first, free, begun=begin is not None)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
     own = covariance[: base.n_base, : base.n_base]
@@ -164,92 +150,16 @@ def refine_fit(
         replace(objective.robot(each), model=model.with_parameters(each.chi[links]))
         for each in (start, found.point)
     )
-    stiffness, late, lead = _derive_servo_errors(objective, covariance)
     return RefinedFit(
         refined,
-        found.point.servo,
+        derive_refined_law(objective, found.point, covariance),
         before,
         built,
         objective,
         found,
         objective.drive_errors(found.quadratic),
         objective.undetermined(found.quadratic),
-        late,
-        stiffness,
-        lead,
     )
-
-
-def _derive_servo_errors(objective: Objective, covariance: Array) -> tuple[float, float, float]:
-    """Return standard errors of relative stiffness, delay and lead; NaN where not fitted."""
-    free = objective.of_servo
-    servo = objective.start.servo
-    first = objective.trajectories.base.n_base
-    errors = np.sqrt(np.diag(covariance))
-    kp = 1.0 if servo is None else max(servo.kp[0], np.finfo(np.float64).tiny)
-    fitted = (
-        (free.stiffness, errors[first] / kp),
-        (free.delay, errors[-2]),
-        (free.lead, errors[-1]),
-    )
-    stiffness, late, lead = (float(error) if there else np.nan for there, error in fitted)
-    return stiffness, late, lead
-
-
-def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> Point:
-    """Return the start, or one with stiffer servos and no delay, after a few steps of each.
-
-    Stiffness, damping and delay of an unknown servo trade off, so that a search may miss the
-    best of them; a few steps show which start leads lower under the same weights.
-    """
-    chi = start.chi.copy()
-    links = 10 * objective.n_links
-    chi[:links] = objective.prior.parameters[:links]
-    chi[links:] *= FIT_STIFFER
-    stiffer = replace(servo, kp=tuple(FIT_STIFFER * kp for kp in servo.kp), delay=0.0)
-    tried = [
-        refine(objective, each, steps=FEW)
-        for each in (start, replace(start, chi=chi, servo=stiffer))
-    ]
-    costs = [objective.cost(each.point, each.motions, tried[0].weights) for each in tried]
-    return tried[int(np.argmin(costs))].point
-
-
-def _try_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple[Objective, Point]:
-    """Return objective and start with a lead and no delay in place of a delay below zero.
-
-    They are as they were if that explains the trajectories worse by more than chance. The
-    derivative gain of such a servo answers a step of the command with all the torque that it has,
-    so the torque limits of the description hold unless others are stated.
-    """
-    described = np.array([joint.limits.torque for joint in objective.trajectories.model.joints])
-    stated = np.array(servo.torque_limit)
-    limits = tuple(np.where(np.isfinite(stated), stated, described).tolist())
-
-    def leading(each: PositionServo, late: float = 0.0) -> PositionServo:
-        lead = np.maximum(each.leads - (each.delay or 0.0), 0.0) + late
-        return replace(each, delay=late, lead=tuple(lead.tolist()), torque_limit=limits)
-
-    ahead = replace(
-        objective,
-        start=replace(objective.start, servo=leading(servo)),
-        of_servo=replace(objective.of_servo, lead=True),
-    )
-    plain = refine(objective, start, steps=FEW)
-    built = plain.point.servo
-    if built is None or not (built.delay or 0.0) < 0.0:
-        return objective, start
-    # delay and lead trade off along a valley that steps of the command make rough
-    tried = [
-        refine(ahead, replace(plain.point, servo=leading(built, late)), steps=FEWEST)
-        for late in LATE
-    ]
-    costs = [ahead.cost(each.point, each.motions, plain.weights) for each in tried]
-    other = refine(ahead, tried[int(np.argmin(costs))].point, steps=FEW)
-    worse = ahead.cost(other.point, other.motions, plain.weights) - objective.cost(
-        plain.point, plain.motions, plain.weights
-    )
-    return (objective, plain.point) if worse > FIT_CHANCE else (ahead, other.point)
 
 
 def thin_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
@@ -280,7 +190,7 @@ BREAKAWAY = 3.0
 """Largest friction at rest per friction in fast motion. Dry hard steel has .78 / .42 = 1.9 (Marks'
 Standard Handbook for Mechanical Engineers, table of coefficients of friction); the rest is left to
 lubricant that parts the surfaces. What holds a joint more is no friction of two surfaces, but soft
-contact of a simulator, a deadband, or a servo at its limit."""
+contact of a simulator, a deadband, or a drive at its limit."""
 
 
 def build_simulated_prior(model: RobotModel, drive: DriveSet) -> CadPrior:

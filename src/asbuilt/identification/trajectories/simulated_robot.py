@@ -1,16 +1,123 @@
-"""The robot that a simulation moves, and what a refinement fits of its position servo."""
+"""The robot that a simulation moves, what drives it, and what is fitted of its law."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, PositionServo, described_drive
+from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording
+from asbuilt.findings import Cure
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
+
+DrivenBy = Literal["command", "torque"]
+
+BEYOND = 1e3
+"""Time [s] for which the first and the last value are held before and after the log."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveSignal:
+    """Hold a logged signal of n joints as a function of time.
+
+    Parameters
+    ----------
+    kind
+        A commanded position is held until the next one, a torque is interpolated.
+    t
+        Times [s], increasing, shape (K,).
+    values
+        Shape (K, n).
+    goal
+        What a servo that limits its goal makes of the command, as `goal_path` returns it; None if
+        the command is the goal.
+    """
+
+    kind: DrivenBy
+    t: Array
+    values: Array
+    goal: tuple[Array, Array] | None = None
+
+    @classmethod
+    def of(cls, recording: Recording, kind: DrivenBy) -> DriveSignal:
+        """Return the command or torque of a recording, without samples that are not finite."""
+        logged = recording.tau if kind == "torque" else recording.command
+        if logged is None:
+            raise ValueError(f"{recording.source} has no {kind}")
+        t, values = select_finite(recording.t, logged)
+        servo = recording.servo
+        limited = kind == "command" and servo is not None and servo.limits_goal
+        return cls(kind, t, values, servo.goal(t, values) if limited and servo else None)
+
+    @property
+    def _held(self) -> tuple[Array, Array]:
+        """Times (M,) and values (M, n) of what the servo holds until the next."""
+        return (self.t, self.values) if self.goal is None else self.goal
+
+    @cached_property
+    def _sums(self) -> tuple[Array, Array]:
+        """Times (M + 2,), and the integrals of the held signal up to them, (n, M + 2)."""
+        times, values = self._held
+        t = np.concatenate([[times[0] - BEYOND], times, [times[-1] + BEYOND]])
+        held = np.concatenate([values[:1], values])
+        sums = np.cumsum(held * np.diff(t)[:, None], axis=0)
+        return t, np.vstack([np.zeros((1, held.shape[1])), sums]).T.copy()
+
+    def means(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
+        """Return the mean of the delayed signal over each time step, shape (W, steps, n).
+
+        Step k of window w lasts from `starts[w] + k step` to `starts[w] + (k + 1) step`. For a
+        held signal the mean is exact, so it is continuous in the delay.
+        """
+        edges = starts[:, None] + step * np.arange(steps + 1) - delay
+        if self.kind == "torque":
+            middles = edges[:, :-1] + 0.5 * step
+            return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
+        t, sums = self._sums
+        integrals = np.stack([np.interp(edges, t, x) for x in sums], axis=-1)
+        return np.asarray(np.diff(integrals, axis=1) / step)
+
+    def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
+        """Return the derivative of `means` of a held signal by the delay, shape (W, steps, n)."""
+        edges = starts[:, None] + step * np.arange(steps + 1) - delay
+        times, values = self._held
+        at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 1)
+        return np.asarray(-np.diff(values[at], axis=1) / step)
+
+
+def select_finite(t: Array, values: Array) -> tuple[Array, Array]:
+    """Return times (K,), each once and in order, and values (K, n) of samples that are finite."""
+    there = np.isfinite(t) & np.all(np.isfinite(values), axis=1)
+    times, first = np.unique(t[there], return_index=True)
+    return times, values[there][first]
+
+
+def choose_driving_signal(recording: Recording) -> DriveSignal:
+    """Return what drives a simulation of a recording: its command if it has one and a servo.
+
+    Raises
+    ------
+    RecordingError
+        If it has neither a command nor a torque.
+    """
+    kind: DrivenBy = "torque"
+    if recording.command is not None and recording.torque_source == "command":
+        kind = "command"
+    elif not np.any(np.isfinite(recording.tau)):
+        raise RecordingError(
+            f"{recording.source} has neither torque nor the command of a position servo, so there"
+            " is nothing to simulate its motion with",
+            cure=Cure("name the command column", settings={"torque_source": "command"}),
+            file=recording.source,
+        )
+    return DriveSignal.of(recording, kind)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +200,19 @@ class SimulatedRobot:
     def with_servo(self, servo: PositionServo | None) -> SimulatedRobot:
         """Return the robot with another servo."""
         return replace(self, servo=servo)
+
+    def driven_by(self, signal: DriveSignal) -> SimulatedRobot:
+        """Return the robot as a signal drives it: its servo acts only where that is a command."""
+        # A torque drives the robot directly: its servo would add to it.
+        return self if signal.kind == "command" else self.with_servo(None)
+
+
+def choose_law(recording: Recording, result: IdentificationResult | None) -> PositionServo | None:
+    """Return the law of the drives under commands: as identified, else as stated for a recording.
+
+    None where torques were measured.
+    """
+    return recording.servo if result is None or result.servo is None else result.servo
 
 
 def build_robot_as_built(
@@ -206,3 +326,79 @@ class ServoCoordinates:
             "lead": not np.any(servo.leads > 0.0),
         }
         return np.array([low[name] for name in self.names], dtype=np.bool_) & (gradient > 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FittedLaw:
+    """Hold a servo at a point of a search, with its coordinates; without one there are none.
+
+    Parameters
+    ----------
+    servo
+        The servo; None where torques drive the robot.
+    free
+        What is fitted of it.
+    """
+
+    servo: PositionServo | None = None
+    free: ServoCoordinates = field(default_factory=ServoCoordinates)
+
+    @classmethod
+    def of(cls, servo: PositionServo | None, free: ServoCoordinates | None) -> FittedLaw:
+        """Return the law with what is free of a servo, but its lead; None: its delay."""
+        if servo is None:
+            return cls()
+        return cls(
+            servo, ServoCoordinates(delay=True) if free is None else replace(free, lead=False)
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self.free.names
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.free.size
+
+    @property
+    def weights(self) -> Array:
+        """Weights of the squared coordinates from the start (size,)."""
+        return self.free.weights
+
+    @property
+    def columns(self) -> Array:
+        """How kp and kd of each joint, delay and lead follow, (2 n + 2, size)."""
+        return np.empty((1, 0)) if self.servo is None else self.free.columns(self.servo)
+
+    def drive(self, robot: SimulatedRobot) -> SimulatedRobot:
+        """Return a robot that the law drives."""
+        return robot.with_servo(self.servo)
+
+    def moved(self, step: Array) -> FittedLaw:
+        """Return the law at coordinates `step` (size,) from it."""
+        return (
+            self if self.servo is None else replace(self, servo=self.free.moved(self.servo, step))
+        )
+
+    def at_bound(self, gradient: Array) -> Mask:
+        """Return which coordinates (size,) lie at their bound with the descent beyond it."""
+        if self.servo is None:
+            return np.empty(0, dtype=np.bool_)
+        return self.free.at_bound(self.servo, gradient)
+
+    def away(self, start: FittedLaw) -> Array:
+        """Return the coordinates (size,) from another law."""
+        if self.servo is None or start.servo is None:
+            return np.zeros(self.size)
+        return self.free.away(self.servo, start.servo)
+
+    def torque_scale(self, start: FittedLaw, k: int) -> tuple[float, float]:
+        """Return the factor of the torque of joint k from another law, and kp per unit of it.
+
+        The latter is zero where the stiffness is not fitted.
+        """
+        if self.servo is None or start.servo is None or not self.free.stiffness:
+            return 1.0, 0.0
+        return self.servo.kp[k] / start.servo.kp[k], start.servo.kp[k]

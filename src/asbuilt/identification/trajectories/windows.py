@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,81 +24,11 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import Recording, Samples
 from asbuilt.experiment.virtual.physics import STIFFNESS
 from asbuilt.findings import Cure
-
-DrivenBy = Literal["command", "torque"]
-
-BEYOND = 1e3
-"""Time [s] for which the first and the last value are held before and after the log."""
-
-
-@dataclass(frozen=True, eq=False)
-class DriveSignal:
-    """Hold a logged signal of n joints as a function of time.
-
-    Parameters
-    ----------
-    kind
-        A commanded position is held until the next one, a torque is interpolated.
-    t
-        Times [s], increasing, shape (K,).
-    values
-        Shape (K, n).
-    goal
-        What a servo that limits its goal makes of the command, as `goal_path` returns it; None if
-        the command is the goal.
-    """
-
-    kind: DrivenBy
-    t: Array
-    values: Array
-    goal: tuple[Array, Array] | None = None
-
-    @classmethod
-    def of(cls, recording: Recording, kind: DrivenBy) -> DriveSignal:
-        """Return the command or torque of a recording, without samples that are not finite."""
-        logged = recording.tau if kind == "torque" else recording.command
-        if logged is None:
-            raise ValueError(f"{recording.source} has no {kind}")
-        t, values = _select_finite(recording.t, logged)
-        servo = recording.servo
-        limited = kind == "command" and servo is not None and servo.limits_goal
-        return cls(kind, t, values, servo.goal(t, values) if limited and servo else None)
-
-    @property
-    def _held(self) -> tuple[Array, Array]:
-        """Times (M,) and values (M, n) of what the servo holds until the next."""
-        return (self.t, self.values) if self.goal is None else self.goal
-
-    @cached_property
-    def _sums(self) -> tuple[Array, Array]:
-        """Times (M + 2,), and the integrals of the held signal up to them, (n, M + 2)."""
-        times, values = self._held
-        t = np.concatenate([[times[0] - BEYOND], times, [times[-1] + BEYOND]])
-        held = np.concatenate([values[:1], values])
-        sums = np.cumsum(held * np.diff(t)[:, None], axis=0)
-        return t, np.vstack([np.zeros((1, held.shape[1])), sums]).T.copy()
-
-    def means(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
-        """Return the mean of the delayed signal over each time step, shape (W, steps, n).
-
-        Step k of window w lasts from `starts[w] + k step` to `starts[w] + (k + 1) step`. For a
-        held signal the mean is exact, so it is continuous in the delay.
-        """
-        edges = starts[:, None] + step * np.arange(steps + 1) - delay
-        if self.kind == "torque":
-            middles = edges[:, :-1] + 0.5 * step
-            return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
-        t, sums = self._sums
-        integrals = np.stack([np.interp(edges, t, x) for x in sums], axis=-1)
-        return np.asarray(np.diff(integrals, axis=1) / step)
-
-    def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
-        """Return the derivative of `means` of a held signal by the delay, shape (W, steps, n)."""
-        edges = starts[:, None] + step * np.arange(steps + 1) - delay
-        times, values = self._held
-        at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 1)
-        return np.asarray(-np.diff(values[at], axis=1) / step)
-
+from asbuilt.identification.trajectories.simulated_robot import (
+    DriveSignal,
+    choose_driving_signal,
+    select_finite,
+)
 
 FEWEST = 3
 """Fewest samples of a window: the state at its start and two to compare."""
@@ -212,27 +141,6 @@ class Windows:
         return np.asarray(slopes + np.asarray(lead) * (slopes - before) / self.step)
 
 
-def choose_driving_signal(recording: Recording) -> DriveSignal:
-    """Return what drives a simulation of a recording: its command if it has one and a servo.
-
-    Raises
-    ------
-    RecordingError
-        If it has neither a command nor a torque.
-    """
-    kind: DrivenBy = "torque"
-    if recording.command is not None and recording.torque_source == "command":
-        kind = "command"
-    elif not np.any(np.isfinite(recording.tau)):
-        raise RecordingError(
-            f"{recording.source} has neither torque nor the command of a position servo, so there"
-            " is nothing to simulate its motion with",
-            cure=Cure("name the command column", settings={"torque_source": "command"}),
-            file=recording.source,
-        )
-    return DriveSignal.of(recording, kind)
-
-
 def cut_windows(
     recording: Recording,
     samples: Samples,
@@ -299,15 +207,8 @@ def cut_windows(
 
 def _interpolate_positions(recording: Recording, t: Array) -> Array:
     """Return the logged positions at times (N,), interpolated, shape (N, n)."""
-    times, q = _select_finite(recording.t, recording.q)
+    times, q = select_finite(recording.t, recording.q)
     return np.stack([np.interp(t, times, x) for x in q.T], axis=1)
-
-
-def _select_finite(t: Array, values: Array) -> tuple[Array, Array]:
-    """Return times (K,), each once and in order, and values (K, n) of samples that are finite."""
-    there = np.isfinite(t) & np.all(np.isfinite(values), axis=1)
-    times, first = np.unique(t[there], return_index=True)
-    return times, values[there][first]
 
 
 # Say how a floor and the feet on it are simulated: own choices.

@@ -21,17 +21,20 @@ from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import RESOLUTION, benjamini_hochberg
 from asbuilt.validation.prediction import LETTERS, Validation
 from asbuilt.validation.review.claimed_numbers import (
-    TOGETHER,
     Claim,
     ClaimedNumber,
     ClaimVerdict,
     Profile,
-    derive_scale_errors,
-    derive_servo_damping,
     list_claimed_numbers,
-    list_servo_aliases,
     profile_numbers,
-    review_servo_claims,
+)
+from asbuilt.validation.review.control_claims import (
+    TOGETHER,
+    derive_added_damping,
+    derive_scale_errors,
+    list_gain_aliases,
+    review_gains,
+    select_control_findings,
 )
 
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
@@ -109,6 +112,11 @@ class Review:
         sums = compare(self.result, level=self.level)
         return sums.n_differing, sums.n_compared
 
+    @cached_property
+    def first_findings(self) -> list[Finding]:
+        """The findings without which the verdicts cannot be read."""
+        return select_control_findings(self.findings)
+
     def count(self, verdict: ClaimVerdict) -> int:
         """Return the number of claims with a verdict."""
         return sum(claim.verdict == verdict for claim in self.claims)
@@ -143,7 +151,7 @@ def review_result(
     described
         The robot with its claims; None: the robot of the result.
     peaks
-        Largest torque that the servo of each joint was asked for (n,), for torque limits.
+        Largest torque that the drive of each joint was asked for (n,), for torque limits.
     motions
         Torques asked for and as built, which show torque limits.
     tolerance
@@ -162,9 +170,9 @@ def review_result(
     base = result.base
     numbers = list_claimed_numbers(model, base.drive, tolerance)
     scale = derive_scale_errors(result)
-    added = derive_servo_damping(result, model)
+    added = derive_added_damping(result, model)
     values = ComparedValues.free(result)
-    # Damping of the servo that the fit has in its viscous friction belongs to the claim.
+    # Other damping that the fit has in its viscous friction belongs to the claim.
     claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0) + added
     rows = np.flatnonzero(values.determined & (values.std_errors > 0) & ~values.dropped)
     profile = profile_numbers(
@@ -191,7 +199,7 @@ def review_result(
         # Locked joints claim nothing that moves.
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
-    claims += review_servo_claims(result, model, claims, peaks, motions)
+    claims += review_gains(result, model, claims, peaks, motions)
     return Review(
         result.robot,
         tuple(sorted(_limit_false_discoveries(claims, level), key=_rank_claim)),
@@ -215,7 +223,7 @@ def _make_claim(
 ) -> Claim:
     """Return the verdict on number j, without regard to the number of tests.
 
-    `whole` is the claim with a servo's claim which acts alike, `reach` the length of the robot,
+    `whole` is the claim with another one that acts alike, `reach` the length of the robot,
     beyond which no link has its centre [m].
     """
     number = numbers[j]
@@ -234,7 +242,7 @@ def _make_claim(
         error if known else None,
         "supported" if known and error <= DETERMINED * number.size else "undetermined",
         (
-            *list_servo_aliases(result, what, number.joint),
+            *list_gain_aliases(result, what, number.joint),
             *(f"{other.what} of {other.joint}" for other in others),
         ),
     )

@@ -13,10 +13,10 @@ from scipy.spatial import KDTree
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.free_base import AXES
 from asbuilt.description.structure.parts import Joint
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
+from asbuilt.experiment.root import root_of
 from asbuilt.identification.calibration.delay import RULES
 from asbuilt.identification.calibration.payload import choose_payload_frame
 
@@ -195,7 +195,7 @@ def measure_rollout_errors(
     # The start is given, and has no error.
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
-    free = model.n_floating
+    free = model.driven_joints.start
     ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
     return RolloutErrors(
         *_evaluate_rms(error, free),
@@ -205,24 +205,8 @@ def measure_rollout_errors(
         min(until, max(float(t[-1]) for t in times)),
         *_evaluate_rms(early, free),
         position_unit(model),
-        _measure_base(measured, simulated) if free == len(AXES) else None,
+        root_of(model).measure_errors(measured, simulated),
     )
-
-
-def _measure_base(measured: Sequence[Array], simulated: Sequence[Array]) -> tuple[float, float]:
-    """Return the root mean square of distances and tilts between free bases (W, L, n)."""
-    from asbuilt.experiment.free_base.columns import base_rotations  # noqa: PLC0415 - light start
-
-    q = [
-        np.concatenate([x[:, 1:].reshape(-1, x.shape[2]) for x in y]) for y in (measured, simulated)
-    ]
-    places, verticals = (
-        np.linalg.norm(np.subtract(*pair), axis=1)
-        for pair in ([x[:, :3] for x in q], [base_rotations(x)[:, 2] for x in q])
-    )
-    # Chord between unit vectors: 2 arcsin of its half is the angle.
-    tilts = 2.0 * np.arcsin(np.clip(0.5 * verticals, 0.0, 1.0))
-    return float(np.sqrt(np.mean(places**2))), float(np.sqrt(np.mean(tilts**2)))
 
 
 def _evaluate_rms(errors: Sequence[Array], free: int) -> tuple[Array, float]:
@@ -240,7 +224,7 @@ def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array)
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
     ends = set(range(model.n_links)) - set(model.parents)
     # Several ends, or none on the way to the tool: no single tool moves.
-    if model.n_floating or any(model.tool_link not in model.ancestors(end) for end in ends):
+    if model.mixes_joints or any(model.tool_link not in model.ancestors(end) for end in ends):
         return None
     try:
         _, link, placement = choose_payload_frame(model)

@@ -32,8 +32,8 @@ from asbuilt.validation.rollout.position_errors import (
 )
 
 if TYPE_CHECKING:
-    from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-    from asbuilt.identification.trajectories.windows import DrivenBy, Windows
+    from asbuilt.identification.trajectories.simulated_robot import DrivenBy, SimulatedRobot
+    from asbuilt.identification.trajectories.windows import Windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

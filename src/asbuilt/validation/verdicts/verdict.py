@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import RECORDINGS
 from asbuilt.findings import Finding, join_names
-from asbuilt.identification import FeasibleInterval, IdentificationResult
-from asbuilt.tables import format_share, round_significant
+from asbuilt.identification import FeasibleInterval, IdentificationResult, Payload
+from asbuilt.tables import format_plus_minus, format_share, round_significant
 from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.position_errors import position_unit
@@ -263,3 +263,22 @@ def read_stated_mass(result: IdentificationResult) -> FeasibleInterval | None:
     except IdentifiabilityError:
         return None
     return mass if mass.is_narrow else None
+
+
+def describe_payload_outcome(payload: Payload) -> str:
+    """Return the verdict: whether to use the payload, and what it is, in a sentence with errors."""
+    values = payload.values.tolist()
+    errors = payload.std_errors.tolist()
+    mass = format_plus_minus(values[0], errors[0])
+    if "mass" not in payload.determined:
+        at = payload.frame
+        return f"{OPENING['no']}: the mass of the payload at {at} is undetermined ({mass} kg)."
+    known = [k for k in (1, 2, 3) if payload.names[k] in payload.determined]
+    centre = ", ".join(f"{'xyz'[k - 1]} {format_plus_minus(values[k], errors[k])}" for k in known)
+    where = f"{centre} m" if centre else "undetermined"
+    doubts = ["nearest consistent payload"] if payload.projected else []
+    if payload.gains_in_doubt:
+        doubts.insert(0, f"gains of {join_names(payload.gains_in_doubt)} in doubt")
+    use = OPENING["with care" if doubts else "yes"]
+    against = f"{join_names(doubts)}; " if doubts else ""
+    return f"{use}: {against}payload at {payload.frame}: {mass} kg, its centre {where}."

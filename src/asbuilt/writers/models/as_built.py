@@ -11,7 +11,6 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.dynamics import (
     DriveSet,
-    PositionServo,
     available_terms,
     drive_torque,
     inverse_dynamics,
@@ -25,6 +24,7 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.bodies.cad_prior import find_non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
+from asbuilt.writers.models.control import with_identified_gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,9 +58,8 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
 
 def build_robot(result: IdentificationResult, found: StandardParameters) -> RobotModel:
     """Return the robot of a result with other standard parameters."""
-    return with_servo(
-        with_standard_parameters(result.model, result.base.drive, found.parameters), result.servo
-    )
+    robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
+    return with_identified_gains(robot, result)
 
 
 FEASIBLE_NOTE = "of these masses and armatures"
@@ -83,24 +82,6 @@ def note_feasible(result: IdentificationResult) -> tuple[str, ...]:
         f"{FEASIBLE_NOTE} the recordings determine only these ranges (95 %), the values of the file"
         f" are the choice closest to CAD: {'; '.join(open_ones)}",
     )
-
-
-def with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
-    """Return the robot with the gains and torque limits of a servo, if there is one."""
-    if servo is None:
-        return robot
-    joints = tuple(
-        replace(
-            joint,
-            drive=replace(joint.drive, kp=kp, kd=kd),
-            # The strictest of what servo and description allow.
-            limits=replace(joint.limits, torque=min(limit, joint.limits.torque)),
-        )
-        for joint, kp, kd, limit in zip(
-            robot.joints, servo.kp, servo.kd, servo.torque_limit, strict=True
-        )
-    )
-    return replace(robot, joints=joints)
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:

@@ -20,10 +20,10 @@ from asbuilt.tables import Column, Shown, Table, round_significant
 from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     keep_described_drives,
-    with_servo,
     with_standard_parameters,
 )
-from asbuilt.writers.models.export import find_urdf_to_edit, note_held_base, note_missing_servo
+from asbuilt.writers.models.control import describe_delay, note_missing_gains, with_gains
+from asbuilt.writers.models.export import find_urdf_to_edit, note_held_base
 from asbuilt.writers.models.mjcf import note_mjcf_limits, write_mjcf
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.models.urdf_edit import note_urdf_limits
@@ -94,21 +94,20 @@ def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
     drive = ensemble.result.base.drive
     links = [{"link": name} for name in model.link_names for _ in PARAMETER_NAMES]
     joints = [{"joint": name} for name in model.joint_names for _ in range(drive.columns_per_joint)]
-    servo = [{"joint": name} for name in model.joint_names] * 2 + [{"joint": "all"}]
-    return [*links, *joints, *(servo if ensemble.kp is not None else [])]
+    return [*links, *joints, *({"joint": name} for name in ensemble.gains.list_joints(model))]
 
 
 def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
-    """Return one robot of an ensemble, counted from 0, with its drive terms and servo."""
+    """Return one robot of an ensemble, counted from 0, with its drive terms and gains."""
     result = ensemble.result
-    servo = ensemble.servo(draw)
+    law = ensemble.gains.law(draw)
     robot = with_standard_parameters(
         result.model, result.base.drive, ensemble.parameters[draw].copy()
     )
     # What was not drawn is as described.
-    kept, _ = keep_described_drives(with_servo(robot, servo), result.model)
-    late = "" if servo is None else f"; delay of the servo {servo.delay!r} s"
-    note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters{late}"
+    kept, _ = keep_described_drives(with_gains(robot, law), result.model)
+    note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters"
+    note += describe_delay(law)
     return replace(kept, notes=(*result.model.notes, note))
 
 
@@ -135,7 +134,7 @@ class EnsembleFiles:
         }
 
     def as_text(self, full: bool = False) -> str:
-        """Return the ranges of drives and servo, `full` of the links too, the files and notes."""
+        """Return the ranges of drives and gains, `full` of the links too, the files and notes."""
         head = f"{self.ensemble.result.robot}: {len(self.ensemble)} robots, equally probable"
         columns = tuple(Column(name) for name in ("parameter", "of", "unit", "5 %", "50 %", "95 %"))
         rows = tuple(
@@ -239,7 +238,7 @@ def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     return (
         *([f"numbers are from draw 0: {'; '.join(notes)}"] if notes else []),
         *kept,
-        *note_missing_servo(ensemble.result, models),
+        *note_missing_gains(ensemble.result, models),
         *(note_held_base(ensemble.result.model) if models == "mjcf" else ()),
     )
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from asbuilt.writers.models.as_built import (
     note_load_friction,
 )
 from asbuilt.writers.models.c.c_code import CCode, write_c
+from asbuilt.writers.models.control import note_missing_gains
 from asbuilt.writers.models.mjcf import (
     STIFF_FRICTION,
     describe_rotors,
@@ -38,7 +39,6 @@ from asbuilt.writers.models.mjcf import (
 from asbuilt.writers.models.nearest_terms import NearestTerms, find_nearest_terms
 from asbuilt.writers.models.physical import (
     note_implausible_links,
-    note_left_out_servo,
     refuse_inconsistent,
     refuse_poor_nearest_model,
     refuse_wrong_units,
@@ -245,7 +245,7 @@ def export_result(
         files["urdf"], remarks = write_urdf(
             urdf, nearest_terms.model, original=edited, remarks=told
         )
-        notes["urdf"] = (*missing, *told, *remarks, *kept, *note_missing_servo(result, "urdf"))
+        notes["urdf"] = (*missing, *told, *remarks, *kept, *note_missing_gains(result, "urdf"))
     if mjcf is not None:
         lost["mjcf"] = nearest_terms = find_nearest_terms(
             result, built, in_simulators, mjcf_holds, ("viscous", "coulomb", "offset")
@@ -261,7 +261,7 @@ def export_result(
             *told,
             *remarks,
             *kept,
-            *note_missing_servo(result, "mjcf"),
+            *note_missing_gains(result, "mjcf"),
             *note_held_base(result.model),
         )
     if toml is not None:
@@ -342,15 +342,6 @@ def find_urdf_to_edit(
         cure=Cure("give the URDF that the robot was identified with"),
         file=source,
     )
-
-
-def note_missing_servo(
-    result: IdentificationResult, kind: Literal["mjcf", "urdf"]
-) -> tuple[str, ...]:
-    """Return what a model file cannot hold of the servo of a result."""
-    with_gains = kind == "urdf" and result.servo is not None
-    gains = ("URDF has no place for the gains of the servo",) if with_gains else ()
-    return (*note_left_out_servo(result.servo, kind.upper()), *gains)
 
 
 def note_held_base(model: RobotModel) -> tuple[str, ...]:

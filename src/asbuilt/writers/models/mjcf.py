@@ -27,6 +27,8 @@ from asbuilt.dynamics.drives.term import FUNCTIONS
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import EncoderPair, IdentificationResult
+from asbuilt.writers.models.base_joints import release_base
+from asbuilt.writers.models.control import add_position_actuator
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
     make_friction_plain,
@@ -90,66 +92,21 @@ def export_mjcf(model: RobotModel) -> str:
             )
     for motor, joint in zip([*root.iter("motor")], plain.joints, strict=True):
         if joint.drive.kp is not None:
-            _make_servo(motor, elements[joint.name], joint)
-        # An offset without a servo is a bias of the actuator.
+            add_position_actuator(motor, elements[joint.name], joint)
+        # Without gains an offset is a bias of the actuator.
         elif offset := joint.drive.offset:
             motor.tag = "general"
             motor.attrib.update(biastype="affine", biasprm=f"{-offset!r} 0 0")
-    # A servo's damping would make explicit steps unstable.
+    # The damping of such actuators would make explicit steps unstable.
     if any(joint.drive.kp is not None for joint in plain.joints):
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
-    if model.n_floating:
-        _release_base(root, model)
+    release_base(root, model)
     for place, note in enumerate((*model.notes, *note_mjcf_limits(model))):
         # Comments of XML must not hold two hyphens, nor end in one.
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
-
-
-def _release_base(root: Element, model: RobotModel) -> None:
-    """Take the actuators of the base's joints out, and make one free joint of six of them."""
-    names = set(model.joint_names[: model.n_floating])
-    for actuators in root.iter("actuator"):
-        for actuator in [actuator for actuator in actuators if actuator.get("joint") in names]:
-            actuators.remove(actuator)
-    # A planar base keeps its three joints.
-    if model.n_floating != 6:
-        return
-    bodies = {body.get("name"): body for body in root.iter("body")}
-    first, base = (bodies[model.link_names[k]] for k in (0, model.n_floating - 1))
-    world = next(element for element in root.iter("worldbody"))
-    for joint in base.findall("joint"):
-        base.remove(joint)
-    # The pose of a free body is its state.
-    for placed in ("pos", "quat"):
-        base.attrib.pop(placed, None)
-    base.insert(0, Element("freejoint", name="base"))
-    world.insert(list(world).index(first), base)
-    world.remove(first)
-
-
-def _make_servo(actuator: Element, element: Element, joint: Joint) -> None:
-    """Make a position actuator of a motor: `clip(kp (u - q) - kd qd, -limit, limit) - Fo`."""
-    kp = joint.drive.kp or 0.0
-    kd = joint.drive.kd or 0.0
-    offset = joint.drive.offset or 0.0
-    # The limit is the servo's, which acts before the joint's.
-    limit = joint.limits.torque
-    actuator.attrib.pop("ctrlrange", None)
-    element.attrib.pop("actuatorfrcrange", None)
-    if offset:
-        actuator.tag = "general"
-        actuator.attrib.update(
-            gainprm=repr(kp), biastype="affine", biasprm=f"{-offset!r} {-kp!r} {-kd!r}"
-        )
-    else:
-        actuator.tag = "position"
-        actuator.attrib.update(kp=repr(kp), kv=repr(kd))
-    if np.isfinite(limit):
-        # The bias is part of the force that is limited.
-        actuator.set("forcerange", f"{-limit - offset!r} {limit - offset!r}")
 
 
 def _add_motors(root: Element, model: RobotModel) -> None:

@@ -1,4 +1,4 @@
-"""What model files refuse and what they leave out: inconsistent models, drive terms, servos."""
+"""What model files refuse and what they leave out: inconsistent models and drive terms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from asbuilt.description.plausibility import (
     find_inconsistencies,
     find_wrong_units,
 )
-from asbuilt.dynamics import PositionServo, available_terms
+from asbuilt.dynamics import available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
@@ -204,32 +204,3 @@ def _measure_error_growth(result: IdentificationResult, beta: Array) -> float:
     d = beta - result.estimates
     rows = result.n_samples * len(result.joint_names) - result.n_base
     return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
-
-
-def note_left_out_servo(
-    servo: PositionServo | None, kind: str, *, delay: bool = False, falling: bool = False
-) -> tuple[str, ...]:
-    """Return notes on what a format of this name lacks of a servo.
-
-    `delay` and `falling` say whether it holds the delay, and torque limits that fall with speed.
-    """
-    if servo is None:
-        return ()
-    # Simulators step in ms, and so do the sentences.
-    late = 1e3 * (servo.delay or 0.0)
-    losses = {
-        f"a delay below zero, {late:.3g} ms: give the simulator each command {-late:.3g} ms"
-        " earlier": late < 0.0,
-        # A step of first order takes a command for its whole length: half of it early in the mean.
-        f"the delay of the servo: give the simulator each command {late:.3g} ms later, and half of"
-        " its time step, by which steps of first order act early": late > 0.0 and not delay,
-        f"the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g} rad/s^2: pass"
-        " commands through it": servo.limits_goal,
-        f"the deadband of the servo, {max(servo.deadband):.4g} rad or m: give each command as the"
-        " position plus what of the control error is beyond it": np.any(servo.deadband),
-        f"the lead of the servo, {1e3 * max(servo.leads):.3g} ms: give each command as the position"
-        " plus this times its rate": np.any(servo.leads),
-        f"torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or m/s: it has"
-        " the limits of a joint at rest": not falling and np.any(servo.falling),
-    }
-    return tuple(f"{kind} has no place for {what}" for what, lost in losses.items() if lost)

@@ -1,4 +1,4 @@
-"""Formats in which simulators take drives and servos, and their registry."""
+"""Formats in which simulators take drives and their control, and their registry."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_code import CCode, generate_c_code
+from asbuilt.writers.models.control import delay_of, note_control
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
     note_left_out_drives,
-    note_left_out_servo,
 )
 
 
@@ -37,14 +37,12 @@ class ExportedDrives:
 
     @property
     def delay(self) -> float:
-        """Delay of the servo [s], zero where it is below: no simulator has commands early."""
-        servo = self.result.servo
-        # A delay below zero is told by `note_left_out_servo`.
-        return 0.0 if servo is None else max(servo.delay or 0.0, 0.0)
+        """Delay of commands [s], not below zero: no simulator has commands early."""
+        return delay_of(self.result)
 
     @property
     def has_gains(self) -> bool:
-        """Whether any joint has a position servo."""
+        """Whether any joint has gains of position control."""
         return any(joint.drive.kp is not None for joint in self.model.joints)
 
     @property
@@ -96,17 +94,21 @@ class ExportedDrives:
         cases[f"{kind} has no place for the offsets of the drives [N m or N]: {listed}"] = (
             bool(listed) and not offset
         )
-        no_gains = "no position servo was identified: gains are zero, and commands are torques"
         return (
             *note_left_out_drives(self.plain, carried, kind),
             *(note for note, holds in cases.items() if holds),
-            *note_left_out_servo(self.result.servo, kind, delay=delay, falling=falling),
-            *([no_gains] if gains and not self.has_gains else []),
+            *note_control(
+                self.result,
+                kind,
+                delay=delay,
+                falling=falling,
+                missing=gains and not self.has_gains,
+            ),
         )
 
 
 class SimulatorFormat(ABC):
-    """A format for drives and servos; a subclass registers an instance in `SIMULATOR_FORMATS`."""
+    """A format for drives and control; a subclass registers an instance in `SIMULATOR_FORMATS`."""
 
     key: ClassVar[str]
     title: ClassVar[str]

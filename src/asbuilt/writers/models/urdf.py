@@ -21,6 +21,7 @@ from asbuilt.description.rotation import (
 from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure, join_names
+from asbuilt.writers.models.base_joints import drop_base_joints
 from asbuilt.writers.models.physical import convert_to_plain_friction, refuse_inconsistent
 from asbuilt.writers.models.urdf_edit import TENSOR, edit_urdf, note_urdf_limits
 from asbuilt.writing import atomic_write
@@ -82,29 +83,9 @@ def format_urdf(model: RobotModel) -> str:
     for frame in model.frames:
         parent, carried = carriers[frame.link]
         _add_fixed_link(root, frame.name, parent, compose_placements(carried, frame.placement))
-    if model.n_floating:
-        _drop_base(root, model)
+    drop_base_joints(root, model)
     indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
-
-
-def _drop_base(root: Element, model: RobotModel) -> None:
-    """Take the joints of a free base out, with the links between, so that it is the root link."""
-    # The base's own link is the last of the chain: it stays, as the root.
-    count = model.n_floating
-    links = {model.root_link, *model.link_names[: count - 1]}
-    # Frames marked on links that go would hang in the air.
-    gone = {f"{name}_frame" for name in links}
-    for element in [*root.findall("link"), *root.findall("joint")]:
-        child = element.find("child")
-        below = "" if child is None else child.get("link", "")
-        base_joint = element.tag == "joint" and element.get("name") in model.joint_names[:count]
-        if (
-            base_joint
-            or below in gone
-            or (element.tag == "link" and element.get("name") in links | gone)
-        ):
-            root.remove(element)
 
 
 def _adapt_to_urdf(model: RobotModel) -> RobotModel:

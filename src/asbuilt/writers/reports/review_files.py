@@ -75,7 +75,7 @@ def review_text(
         f"{review.letter}: the description predicts these recordings to"
         f" {format_share(review.error)} of the torque ({LETTERS.text})"
     )
-    shown = [finding for finding in review.findings if full or finding.code.startswith("servo_")]
+    shown = review.findings if full else review.first_findings
     return "\n".join(
         [
             wrap_text(review_headline(review)),

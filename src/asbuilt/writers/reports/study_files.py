@@ -18,7 +18,7 @@ from asbuilt.identification import (
 )
 from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.verdicts.payload_verdict import describe_payload_outcome
+from asbuilt.validation.verdicts.verdict import describe_payload_outcome
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
 from asbuilt.writers.tables.drive_tables import tabulate_motor_side

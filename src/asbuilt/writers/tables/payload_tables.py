@@ -21,7 +21,7 @@ from asbuilt.tables import (
     wrap_text,
 )
 from asbuilt.validation.comparison.comparison import tabulate_paired_torques
-from asbuilt.validation.verdicts.payload_verdict import describe_payload_outcome
+from asbuilt.validation.verdicts.verdict import describe_payload_outcome
 from asbuilt.writers.files import path_texts
 
 _SOURCES = {

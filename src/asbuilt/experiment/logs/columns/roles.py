@@ -311,6 +311,11 @@ def find_nanoseconds(name: str, names: Sequence[str]) -> str | None:
     return next((name for name in names if split_words(name) in wanted), None)
 
 
+def recognise_any(name: str) -> Role | None:
+    """Return what a column is by its name, a measured quantity, a command or a goal; or None."""
+    return recognise(name) or match_commanded_role(name) or match_commanded_role(name, GOALS)
+
+
 def match_commanded_role(name: str, alone: Set[str] = COMMANDS) -> Role | None:
     """Return the role of a column of commanded positions by its name, None for all others.
 

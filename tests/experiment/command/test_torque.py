@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from asbuilt.dynamics import PositionServo
 from asbuilt.experiment import Recording, SignalChain, prepare_samples
-from asbuilt.experiment.command.servo_torque import (
+from asbuilt.experiment.command.torque import (
     drive_by_command,
     drop_saturated,
     estimate_direction_speeds,

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.recording import Recording, find_advancing_rows
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.recording import Recording, find_advancing_rows, spread_over_joints
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
+
+    from asbuilt.experiment.logs.reading_options import ReadingOptions
+    from asbuilt.experiment.logs.sheet import RecordingSheet
 
 FEWEST = 4
 """Samples of a command below which it has no curve."""
@@ -194,6 +199,64 @@ def drive_by_command(recording: Recording, servo: PositionServo) -> Recording:
     return replace(recording, tau=tau, torque_source="command", servo=servo, extra=extra)
 
 
+ABSENT = {"torque_limit": np.inf, "no_load_speed": np.inf, "goal_speed": np.inf, "lead": 0.0}
+"""What a servo is taken to lack unless it is stated, as the number that says so."""
+
+
+def drive_as_stated(
+    recording: Recording, sheet: RecordingSheet, options: ReadingOptions
+) -> Recording:
+    """Return a recording with the torque of its command, where that is what drives the robot.
+
+    Others stay as they are. Raises `RecordingError` if options describe a servo that they lack.
+    """
+    if recording.torque_source == "command" and recording.command is not None:
+        servo = _read_stated_servo(recording, sheet, options)
+        if servo is not None:
+            return drive_by_command(recording, servo)
+    _refuse_idle_servo(recording, options)
+    return recording
+
+
+def _read_stated_servo(
+    recording: Recording, sheet: RecordingSheet, options: ReadingOptions
+) -> PositionServo | None:
+    """Return the servo that options and sheet state; None if the torque itself was commanded.
+
+    That is so where the sheet names torque columns, no command and no gains.
+    """
+    given = {
+        name: getattr(sheet if getattr(options, name) is None else options, name)
+        for name in PER_JOINT
+    }
+    stated = sheet.columns.command is not None or any(x is not None for x in given.values())
+    if sheet.columns.torque is not None and not stated:
+        return None
+    numbers: dict[str, Any] = {}
+    for name, each in given.items():
+        values = spread_over_joints(recording, each, f"values of {name}")
+        numbers[name] = tuple(np.where(np.isnan(values), ABSENT.get(name, np.nan), values).tolist())
+    return PositionServo(**numbers)
+
+
+def _refuse_idle_servo(recording: Recording, options: ReadingOptions) -> None:
+    """Raise if options describe the servo of a recording that has none."""
+    given = [name for name in PER_JOINT if getattr(options, name) is not None]
+    problem = f"has torques in addition to its commands (source: {recording.torque_source})"
+    cure = Cure("use its commands in their place", settings={"torque_source": "command"})
+    if recording.command is None:
+        problem = "has no commanded positions"
+        cure = Cure('name their columns in a recording sheet: [columns] command = ["..."]')
+    if given:
+        raise RecordingError(
+            f"{recording.source} {problem}, so that {', '.join(given)} of a servo would have no"
+            " effect",
+            cure=cure,
+            file=recording.source,
+            value=given,
+        )
+
+
 def differentiate_logged_positions(recording: Recording) -> Array:
     """Return velocities by central differences of the positions as logged, shape (N, n).
 
@@ -256,3 +319,9 @@ def estimate_direction_speeds(recording: Recording, cutoff: float) -> tuple[floa
 def drop_slow_rows(samples: Samples, recording: Recording, cutoff: float) -> Samples:
     """Return samples whose rows count only where the direction of a joint is known."""
     return replace(samples, slowest=estimate_direction_speeds(recording, cutoff))
+
+
+def drop_unknown_directions(samples: Samples, recording: Recording, cutoff: float) -> Samples:
+    """Return samples as `drop_slow_rows` if their torque follows from commands, else whole."""
+    computed = recording.torque_source == "command"
+    return drop_slow_rows(samples, recording, cutoff) if computed else samples
