@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
@@ -111,6 +111,45 @@ def decode_fields(
         elif item.default is MISSING and item.default_factory is MISSING:
             raise FieldError(key, "it is missing")
     return given
+
+
+def format_number(value: float) -> str:
+    """Return the shortest text that reads back to the same number, without a minus before zero.
+
+    >>> format_number(0.1), format_number(-0.0), format_number(3)
+    ('0.1', '0.0', '3.0')
+    """
+    return repr(float(value) + 0.0)
+
+
+def format_numbers(values: Iterable[float]) -> str:
+    """Return numbers as `format_number` does, separated by spaces, as XML formats take them."""
+    return " ".join(map(format_number, values))
+
+
+def format_toml(value: Any, number: Callable[[float], str] = format_number) -> str:
+    """Return a value of TOML on one line, as `tomli_w` does not write tables and lists.
+
+    >>> format_toml({"mass": 2, "name of link": "tool", "com": [0, 0, 0.1], "known": True})
+    '{mass = 2.0, "name of link" = "tool", com = [0.0, 0.0, 0.1], known = true}'
+    """
+    if isinstance(value, Mapping):
+        items = (f"{format_toml_key(key)} = {format_toml(x, number)}" for key, x in value.items())
+        return f"{{{', '.join(items)}}}"
+    if isinstance(value, list | tuple | np.ndarray):
+        return f"[{', '.join(format_toml(x, number) for x in value)}]"
+    if isinstance(value, bool | str):
+        import tomli_w  # noqa: PLC0415 - light start
+
+        # Behind "x = ": tomli_w knows how to quote, and ends with a line break.
+        return tomli_w.dumps({"x": value})[4:].rstrip("\n")
+    return number(float(value))
+
+
+def format_toml_key(key: str) -> str:
+    """Return a key of TOML: bare if it is of ASCII letters, digits, - and _, else quoted."""
+    bare = key.replace("_", "").replace("-", "").isalnum() and key.isascii()
+    return key if bare else format_toml(key)
 
 
 def format_json(document: Any) -> str:

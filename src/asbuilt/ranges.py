@@ -1,8 +1,9 @@
-"""Ranges of options: stated once in the field of the option class, and checked for all of them."""
+"""Fields of option classes: their text, range and parser stated once, read by every interface."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from asbuilt.errors import UsageError
@@ -34,6 +35,31 @@ class Range:
     def __str__(self) -> str:
         least = "above" if self.above else "from"
         return f"{least} {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
+
+
+def option(default: Any, metavar: str, help: str, **further: Any) -> Any:
+    """Return a field with its default, the name of its value, and its text.
+
+    `further` are `range`, `choices`, `parse`, from text, `names` of a registry, `also`, more
+    spellings, and what the command line gives its parser as `typer`.
+    """
+    return switch(default, help, metavar=metavar, **further)
+
+
+def switch(default: Any, help: str, **further: Any) -> Any:
+    """Return a field that is on or off, with its text."""
+    return field(default=default, metadata={"help": help} | further)
+
+
+def check_choice(name: str, value: Any, known: Collection[Any], **fields: Any) -> None:
+    """Raise `UsageError` unless a value is among the known ones."""
+    if value not in known:
+        raise UsageError(
+            f"{name} {value!r} is not one of {', '.join(known)}",
+            value=value,
+            available=[*known],
+            **fields,
+        )
 
 
 def check_ranges(options: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import difflib
 import pkgutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from importlib import import_module
@@ -34,6 +34,16 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
     """
     near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}? " if near else ""
+
+
+def check_known(what: str, name: str, known: Collection[str]) -> None:
+    """Raise `UsageError` unless a name is among the known ones; the nearest one is proposed."""
+    if name not in known:
+        raise UsageError(
+            f"there is no {what} {name!r}; {suggest_name(name, known)}there are {', '.join(known)}",
+            value=name,
+            available=[*known],
+        )
 
 
 def list_known_fields(schema: Mapping[str, Any], location: Sequence[int | str]) -> list[str]:
@@ -80,13 +90,7 @@ def divide_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dic
     entries = {entry.name: (group, entry) for group in groups for entry in fields(group)}
     found: dict[type[Any], dict[str, Any]] = {group: {} for group in groups}
     for name, value in settings.items():
-        if name not in entries:
-            raise UsageError(
-                f"there is no option {name!r}; {suggest_name(name, entries)}there are"
-                f" {', '.join(entries)}",
-                value=name,
-                available=[*entries],
-            )
+        check_known("option", name, entries)
         group, entry = entries[name]
         found[group][name] = _read(value, entry.metadata)
     return [*found.values()]

@@ -141,3 +141,15 @@ class Scaled:
             _spectrum=(high, axes, high > 0.0),
         )
         return found
+
+
+def find_column_space(columns: Array) -> Array:
+    """Return an orthonormal basis (N, r) of what columns (N, p) span, by the same tolerance.
+
+    >>> find_column_space(np.array([[1.0, 2.0], [1.0, 2.0]])).shape
+    (2, 1)
+    """
+    length = np.linalg.norm(columns, axis=0)
+    present = length > SMALLEST * length.max(initial=0.0)
+    basis, values, _ = np.linalg.svd(columns[:, present] / length[present], full_matrices=False)
+    return np.asarray(basis[:, values > np.sqrt(SMALLEST) * values.max(initial=0.0)])

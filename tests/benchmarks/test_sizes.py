@@ -9,7 +9,7 @@ import pytest
 
 from asbuilt import identify
 from asbuilt.description import load_robot
-from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.dynamics import RegressorPlan
 from asbuilt.experiment import read_recording
 from asbuilt.identification.bodies import conic_fit
 from asbuilt.identification.effects.trials import Trials

@@ -12,7 +12,7 @@ from virtual_causes import identified, recorded
 
 from asbuilt.experiment import SignalChain, hold_out, prepare_samples
 from asbuilt.identification import predict_torque
-from asbuilt.validation.verdicts.verdict_error import compare_with_nearest
+from asbuilt.validation.verdicts.model_errors import compare_with_nearest
 
 
 def test_errors_are_those_of_predicting_the_samples() -> None:

@@ -14,8 +14,7 @@ from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Samples
 from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.workflow import prepare
-from asbuilt.workflow.prepare import Prepared
+from asbuilt.workflow import Prepared, prepare
 from asbuilt.workflow.tested_choice import LeftOut, drop_parameters
 
 LWR4 = "data/kuka_lwr4"

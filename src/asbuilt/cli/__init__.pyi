@@ -20,10 +20,12 @@ from .arguments.options import TimelineFiles as TimelineFiles
 from .arguments.options import Unchecked as Unchecked
 from .arguments.options import complete_robot as complete_robot
 from .arguments.options import load_described_robot as load_described_robot
+from .arguments.options import out_folder as out_folder
 from .arguments.options import read_recordings_of_robot as read_recordings_of_robot
 from .arguments.options import require_distinct_logs as require_distinct_logs
 from .arguments.options import require_writable_file as require_writable_file
 from .arguments.options import require_writable_folder as require_writable_folder
+from .arguments.options import written_file as written_file
 from .arguments.spread import name_option as name_option
 from .arguments.spread import require_known_value as require_known_value
 from .commands import Entries as Entries

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,20 +19,19 @@ from asbuilt.cli.arguments.options import (
     Judges,
     Logs,
     Out,
-    Processes,
     Result,
     Robot,
-    Scheduler,
     Seed,
+    Sharing,
     TimelineFiles,
     load_described_robot,
     parse_places,
     read_robot_and_recordings,
     refuse_idle,
-    refuse_sharing,
     require_distinct_logs,
-    share_workers,
 )
+from asbuilt.cli.arguments.spread import find_given_options
+from asbuilt.ranges import option, switch
 from asbuilt.workflow.study_options import (
     AUTOMATIC,
     PayloadOptions,
@@ -41,8 +40,6 @@ from asbuilt.workflow.study_options import (
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from asbuilt.executor import Workers
 
 
 def identify(
@@ -57,8 +54,7 @@ def identify(
             "--payload", metavar="LOG", help="a recording under load: what does the flange carry?"
         ),
     ] = None,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    sharing: Sharing,
     reading: ReadingOptions,
     filtering: Filtering,
     timelines: TimelineFiles,
@@ -69,12 +65,12 @@ def identify(
     """Identify a robot from recordings, and validate the result."""
     require_distinct_logs(log, validate, payload)
     if not options.rollout:
-        refuse_sharing("only rollouts are shared", workers, scheduler)
+        sharing.refuse("only rollouts are shared")
     model = load_described_robot(robot, reading.base)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
-    with show_progress() as report, share_workers(workers, scheduler) as shared:
+    with show_progress() as report, sharing.open() as shared:
         report("read", 0.0)
         model, (recordings, others, loaded) = read_robot_and_recordings(
             model, reading, log, validate, payload
@@ -144,71 +140,42 @@ def _suggest_next_command(study: asbuilt.Study, robot: str, files: Mapping[str, 
     return f"asbuilt export {place} --mjcf robot.xml (or --urdf, --c)"
 
 
+@dataclass(frozen=True)
+class ExportFiles:
+    """The files that an export writes one by one, and how."""
+
+    urdf: Path | None = option(
+        None,
+        "FILE",
+        "URDF, the original as built; with --ensemble alone: URDF in place of MJCF",
+    )
+    mjcf: Path | None = option(None, "FILE", "MJCF, for MuJoCo")
+    toml: Path | None = option(None, "FILE", "robot file of asbuilt")
+    c: Path | None = option(None, "FILE", "C99 code FILE.c, with its header FILE.h")
+    observer: Path | None = option(
+        None,
+        "FILE",
+        "C99 code FILE.c and FILE.h of the momentum observer and the dynamics it needs",
+    )
+    thresholds: Path | None = option(
+        None, "FILE", "thresholds.json of `asbuilt watch`, for --observer"
+    )
+    original: Path | None = option(None, "FILE", "URDF to edit [default: the robot's]")
+    nearest: bool = switch(
+        False,
+        "if the identified parameters are physically inconsistent, write the nearest"
+        " consistent model",
+    )
+    force: bool = switch(False, "with --nearest: write it however large its error")
+    elastic: bool = switch(
+        False, "in MJCF, a joint each for motor and link where two encoders show the stiffness"
+    )
+
+
 def export(
     result: Result,
-    urdf: Annotated[
-        Path | None,
-        typer.Option(
-            "--urdf",
-            metavar="FILE",
-            help="URDF, the original as built; with --ensemble alone: URDF in place of MJCF",
-        ),
-    ] = None,
-    mjcf: Annotated[
-        Path | None, typer.Option("--mjcf", metavar="FILE", help="MJCF, for MuJoCo")
-    ] = None,
-    toml: Annotated[
-        Path | None, typer.Option("--toml", metavar="FILE", help="robot file of asbuilt")
-    ] = None,
-    c: Annotated[
-        Path | None,
-        typer.Option("--c", metavar="FILE", help="C99 code FILE.c, with its header FILE.h"),
-    ] = None,
-    observer: Annotated[
-        Path | None,
-        typer.Option(
-            "--observer",
-            metavar="FILE",
-            help="C99 code FILE.c and FILE.h of the momentum observer and the dynamics it needs",
-        ),
-    ] = None,
-    thresholds: Annotated[
-        Path | None,
-        typer.Option(
-            "--thresholds",
-            metavar="FILE",
-            help="thresholds.json of `asbuilt watch`, for --observer",
-        ),
-    ] = None,
-    original: Annotated[
-        Path | None,
-        typer.Option(
-            "--original",
-            metavar="FILE",
-            help="URDF to edit [default: the robot's]",
-        ),
-    ] = None,
-    nearest: Annotated[
-        bool,
-        typer.Option(
-            "--nearest",
-            help=(
-                "if the identified parameters are physically inconsistent, write the nearest"
-                " consistent model"
-            ),
-        ),
-    ] = False,
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="with --nearest: write it however large its error"),
-    ] = False,
-    elastic: Annotated[
-        bool,
-        typer.Option(
-            "--elastic",
-            help="in MJCF, a joint each for motor and link where two encoders show the stiffness",
-        ),
-    ] = False,
+    *,
+    files: ExportFiles,
     to: Annotated[
         list[str] | None,
         typer.Option(
@@ -230,8 +197,7 @@ def export(
         ),
     ] = None,
     seed: Seed = 0,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    sharing: Sharing,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -240,61 +206,26 @@ def export(
 
     With --ensemble: many robots that the recordings allow, for domain randomization.
     """
-    bare = urdf == Path()
+    bare = files.urdf == Path()
     if ensemble is not None:
-        others = {"--mjcf": mjcf, "--toml": toml, "--c": c, "--original": original}
+        given = find_given_options(files)
         refuse_idle(
             "an ensemble is a set of MJCF or URDF files in one folder",
-            {name: given is not None for name, given in others.items()}
-            | {"--urdf FILE": urdf is not None and not bare, "--nearest": nearest}
-            | {"--force": force, "--to": bool(to), "--observer": observer is not None}
-            | {"--elastic": elastic},
+            {"--urdf FILE": given.pop("--urdf") and not bare, "--to": bool(to)} | given,
         )
-        with share_workers(workers, scheduler) as shared:
-            models: Literal["mjcf", "urdf"] = "urdf" if bare else "mjcf"
-            _export_ensemble(
-                asbuilt.read_result(result), ensemble, models, seed, out, shared, full=full,
-                as_json=as_json,
-            )  # fmt: skip
+        if out is None:
+            raise UsageError("an ensemble is a folder of files; name it with --out DIR")
+        identified = asbuilt.read_result(result)
+        with sharing.open() as workers:
+            drawn = asbuilt.draw_ensemble(identified, ensemble, rng=seed, workers=workers)
+        written = asbuilt.write_ensemble(out, drawn, models="urdf" if bare else "mjcf", seed=seed)
+        answer(as_json, written.as_document, lambda: written.as_text(full))
         return
-    refuse_sharing("only the draws of an ensemble are shared", workers, scheduler)
+    sharing.refuse("only the draws of an ensemble are shared")
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
     places = parse_places(to)
     identified = asbuilt.read_result(result)
-
-    exported = asbuilt.export_result(
-        identified,
-        urdf=urdf,
-        mjcf=mjcf,
-        toml=toml,
-        c=c,
-        observer=observer,
-        thresholds=thresholds,
-        original=original,
-        nearest=nearest,
-        force=force,
-        simulators=places,
-        elastic=elastic,
-    )
+    exported = asbuilt.export_result(identified, **vars(files), simulators=places)
     answer(as_json, exported.as_document, exported.as_text)
-
-
-def _export_ensemble(
-    result: asbuilt.IdentificationResult,
-    n: int,
-    models: Literal["mjcf", "urdf"],
-    seed: int,
-    out: Path | None,
-    workers: Workers | None,
-    *,
-    full: bool,
-    as_json: bool,
-) -> None:
-
-    if out is None:
-        raise UsageError("an ensemble is a folder of files; name it with --out DIR")
-    drawn = asbuilt.draw_ensemble(result, n, rng=seed, workers=workers)
-    written = asbuilt.write_ensemble(out, drawn, models=models, seed=seed)
-    answer(as_json, written.as_document, lambda: written.as_text(full))

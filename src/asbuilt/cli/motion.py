@@ -18,11 +18,10 @@ from asbuilt.cli.arguments.options import (
     FixedBase,
     Full,
     Robot,
-    load_described_robot,
+    Sharing,
     refuse_both,
     refuse_idle,
-    refuse_sharing,
-    require_writable_file,
+    written_file,
 )
 from asbuilt.cli.arguments.spread import find_given_options
 
@@ -60,16 +59,7 @@ def excite(
             "--program", metavar="FORMAT", help="also write a controller program; repeatable"
         ),
     ] = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="motion file to write",
-            callback=require_writable_file,
-        ),
-    ] = Path("motion.csv"),
+    out: Annotated[Path, written_file(text="motion file to write")] = Path("motion.csv"),
     workers: Annotated[
         int | None,
         typer.Option(
@@ -99,9 +89,9 @@ def excite(
     asked = find_given_options(options)
     refuse_both(workers, scheduler)
     if static is not None:
-        refuse_sharing("static poses are found by one process", workers, scheduler)
+        Sharing(workers, scheduler).refuse("static poses are found by one process")
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
-    model = load_described_robot(robot, fixed_base=fixed_base)
+    model = asbuilt.load_robot(robot, fixed_base=fixed_base)
     base = None
     prior = None
     from asbuilt.identification.result.as_built_parameters import known_information

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +28,6 @@ from asbuilt.cli.arguments.options import (
     Out,
     Robot,
     RobotOrResult,
-    Seed,
     load_described_robot,
     load_robot_as_built,
     parse_number_list,
@@ -36,11 +35,12 @@ from asbuilt.cli.arguments.options import (
     read_robot_and_recordings,
     refuse_idle,
     require_distinct_logs,
-    require_writable_file,
+    written_file,
 )
 from asbuilt.cli.arguments.spread import require_known_value
 from asbuilt.description.inertia import tool_from_text
 from asbuilt.findings import Cure
+from asbuilt.ranges import option
 from asbuilt.tables import wrap_text
 
 
@@ -210,110 +210,70 @@ def _add_sheet(problem: RecordingError, proposals: dict[Path, experiment.SheetPr
         )
 
 
+@dataclass(frozen=True)
+class Simulating:
+    """The options of a virtual robot, of what it carries, and of how it moves."""
+
+    preset: str | None = option(
+        None, "NAME", "robot and sensors: ideal (default), lab, factory or servo (no torque)"
+    )
+    set: list[str] | None = option(
+        None,
+        "NAME=VALUE",
+        "change a value of the preset, such as backlash=2e-4 or feedforward=none; repeat for more",
+    )
+    tool: str | None = option(
+        None, "KG@X,Y,Z", "a ball of this mass, its centre in the axes of --at [m]"
+    )
+    at: str | None = option(
+        None, "NAME", "link or frame that carries the tool (default: the flange)"
+    )
+    free: str | None = option(
+        None,
+        "HOW",
+        "free simulation: drop (from rest), free (without friction), step (of a controller)",
+    )
+    start: str | None = option(None, "Q1,Q2,...", "pose in which --free begins [rad, m]")
+    engine: str = option(
+        "mujoco", "NAME", "mujoco (controlled) or inverse-dynamics (follows exactly)"
+    )
+    rate: float | None = option(
+        None,
+        "HZ",
+        "sampling rate of the recording (default: the preset's)",
+        typer={"min": 0.1, "max": 1e5},
+    )
+    duration: float | None = option(
+        None,
+        "S",
+        "length of the random motion (20) or of --free (3)",
+        typer={"min": 0.01, "max": 86_400.0},
+    )
+    seed: int = option(0, "N", "seed of everything random", typer={"min": 0})
+    robot_seed: int | None = option(
+        None,
+        "N",
+        "seed of the robot alone, so that --seed draws another motion and other noise of the same"
+        " robot (default: the value of --seed)",
+        typer={"min": 0},
+    )
+
+
 def simulate(
     robot: RobotOrResult,
+    *,
     motion: Annotated[
         Path | None,
         typer.Argument(
             metavar="[MOTION]", help="motion CSV (t, q_*, ...), by default a random one"
         ),
     ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            "--preset",
-            metavar="NAME",
-            help="robot and sensors: ideal (default), lab, factory or servo (no torque)",
-        ),
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help=(
-                "change a value of the preset, such as backlash=2e-4 or feedforward=none; repeat"
-                " for more"
-            ),
-        ),
-    ] = None,
-    tool: Annotated[
-        str | None,
-        typer.Option(
-            "--tool",
-            metavar="KG@X,Y,Z",
-            help="a ball of this mass, its centre in the axes of --at [m]",
-        ),
-    ] = None,
-    at: Annotated[
-        str | None,
-        typer.Option(
-            "--at", metavar="NAME", help="link or frame that carries the tool (default: the flange)"
-        ),
-    ] = None,
-    free: Annotated[
-        str | None,
-        typer.Option(
-            "--free",
-            metavar="HOW",
-            help=(
-                "free simulation: drop (from rest), free (without friction), step (of a controller)"
-            ),
-        ),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option("--start", metavar="Q1,Q2,...", help="pose in which --free begins [rad, m]"),
-    ] = None,
-    engine: Annotated[
-        str,
-        typer.Option(
-            "--engine",
-            metavar="NAME",
-            help="mujoco (controlled) or inverse-dynamics (follows exactly)",
-        ),
-    ] = "mujoco",
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate",
-            metavar="HZ",
-            min=0.1,
-            max=1e5,
-            help="sampling rate of the recording (default: the preset's)",
-        ),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(
-            "--duration",
-            metavar="S",
-            min=0.01,
-            max=86_400.0,
-            help="length of the random motion (20) or of --free (3)",
-        ),
-    ] = None,
-    seed: Seed = 0,
-    robot_seed: Annotated[
-        int | None,
-        typer.Option(
-            "--robot-seed",
-            metavar="N",
-            min=0,
-            help=(
-                "seed of the robot alone, so that --seed draws another motion and other noise of"
-                " the same robot (default: the value of --seed)"
-            ),
-        ),
-    ] = None,
+    options: Simulating,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
+        written_file(
             metavar="LOG",
-            help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
-            callback=require_writable_file,
+            text="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
         ),
     ] = None,
     fixed_base: FixedBase = False,
@@ -323,44 +283,48 @@ def simulate(
 
     The parameters of the robot are written next to the recording.
     """
-    runs_on = require_known_value("--engine", engine, ("mujoco", "inverse-dynamics"))
-    kind = require_known_value("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
+    runs_on = require_known_value("--engine", options.engine, ("mujoco", "inverse-dynamics"))
+    kind = require_known_value(
+        "--preset", options.preset or "ideal", ("ideal", "lab", "factory", "servo")
+    )
     model = load_robot_as_built(robot, fixed_base=fixed_base)
 
-    carried = None if tool is None else tool_from_text(tool)
-    if at is not None and carried is None:
+    carried = None if options.tool is None else tool_from_text(options.tool)
+    if options.at is not None and carried is None:
         raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     from asbuilt.experiment.virtual.settings import with_settings
     from asbuilt.identification.calibration.payload import choose_payload_frame
 
-    place = None if carried is None else choose_payload_frame(model, at)[0]
-    if free is not None:
+    place = None if carried is None else choose_payload_frame(model, options.at)[0]
+    if options.free is not None:
         given = {
             "MOTION": motion,
-            "--preset": preset,
-            "--set": settings,
-            "--rate": rate,
-            "--engine inverse-dynamics": engine != "mujoco",
-            "--robot-seed": robot_seed is not None,
+            "--preset": options.preset,
+            "--set": options.set,
+            "--rate": options.rate,
+            "--engine inverse-dynamics": options.engine != "mujoco",
+            "--robot-seed": options.robot_seed is not None,
         }
         refuse_idle(
             "--free simulates the robot as described, without controller and sensors",
             {name: bool(value) for name, value in given.items()},
         )
-        _simulate_free(model, carried, place, free, duration, start, out, as_json)
+        _simulate_free(model, carried, place, options, out, as_json)
         return
-    if start is not None:
+    if options.start is not None:
         raise UsageError("--start is for --free; a motion starts where its file says")
-    if motion is not None and duration is not None:
+    if motion is not None and options.duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
-    moved = _choose_motion(model, motion, duration, seed, fast=kind == "servo")
-    of_robot = seed if robot_seed is None else robot_seed
+    moved = _choose_motion(model, motion, options.duration, options.seed, fast=kind == "servo")
+    of_robot = options.seed if options.robot_seed is None else options.robot_seed
     virtual = asbuilt.VirtualRobot.preset(
         kind, model, of_robot, tool=carried, at=place, engine=runs_on
     )
-    virtual = with_settings(virtual.logging(rate), settings or ())
+    virtual = with_settings(virtual.logging(options.rate), options.set or ())
     with show_progress() as report:
-        simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))
+        simulated = virtual.record(
+            moved, options.seed, progress=lambda fraction: report("move", fraction)
+        )
     files = writers.write_simulation(out or Path("recording.csv"), simulated)
     answer(
         as_json,
@@ -385,9 +349,7 @@ def _simulate_free(
     model: asbuilt.RobotModel,
     tool: asbuilt.LinkInertia | None,
     place: str | None,
-    release: str,
-    duration: float | None,
-    start: str | None,
+    options: Simulating,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -395,9 +357,9 @@ def _simulate_free(
 
     moved = asbuilt.run_free(
         model if tool is None else with_body(model, tool, place),
-        require_known_value("--free", release, ("drop", "step", "free")),
-        duration=3.0 if duration is None else duration,
-        start=parse_number_list("--start", start) or None,
+        require_known_value("--free", options.free or "", ("drop", "step", "free")),
+        duration=3.0 if options.duration is None else options.duration,
+        start=parse_number_list("--start", options.start) or None,
     )
     files = writers.write_free_motion(out or Path("free.csv"), moved)
     answer(

@@ -26,6 +26,7 @@ from asbuilt.cli.answers import (
     show_progress,
 )
 from asbuilt.cli.arguments.options import (
+    AS_IDENTIFIED,
     AsJson,
     Browser,
     Drive,
@@ -35,10 +36,10 @@ from asbuilt.cli.arguments.options import (
     Robot,
     RobotOrResult,
     is_result,
-    load_described_robot,
     load_robot_as_built,
     refuse_idle,
     require_writable_file,
+    written_file,
 )
 from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.codec import format_json
@@ -82,7 +83,7 @@ def show(
             lambda: writers.robot_text(model, full, describe_cure),
         )
         return
-    refuse_idle("the robot of a result is taken as it was identified", find_given_options(root))
+    refuse_idle(AS_IDENTIFIED, find_given_options(root))
     result = asbuilt.read_result(Path(robot))
 
     model = writers.as_built(result).model
@@ -103,16 +104,7 @@ def schema(
     kind: Annotated[
         str, typer.Argument(metavar="KIND", help="robot (robot file) or sheet (recording sheet)")
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="file to write [default: print]",
-            callback=require_writable_file,
-        ),
-    ] = None,
+    out: Annotated[Path | None, written_file(text="file to write [default: print]")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print or write the JSON Schema of a file that people write.
@@ -126,8 +118,8 @@ def schema(
 
 def base(
     robot: Robot,
-    drive: Drive = None,
     *,
+    drive: Drive = None,
     root: BaseOptions,
     full: Full = False,
     as_json: AsJson = False,
@@ -160,11 +152,9 @@ def view(
     *,
     save: Annotated[
         Path | None,
-        typer.Option(
+        written_file(
             "--save",
-            metavar="FILE",
-            help=("write a page (.html), a picture (.png) or an animation (.gif, .webp) instead"),
-            callback=require_writable_file,
+            text="write a page (.html), a picture (.png) or an animation (.gif, .webp) instead",
         ),
     ] = None,
     port: PagePort = 8080,
@@ -255,7 +245,7 @@ def convert(
     A robot file (.toml) also holds gravity, couplings of motors and drives, which can be added
     there by hand. What the format cannot hold is listed; shapes and meshes are left out.
     """
-    model = load_described_robot(robot, fixed_base=fixed_base)
+    model = asbuilt.load_robot(robot, fixed_base=fixed_base)
     if lock is not None:
         model = model.locked(locks_from_text(lock))
     if gravity is not None:

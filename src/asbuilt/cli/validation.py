@@ -32,10 +32,9 @@ from asbuilt.cli.arguments.options import (
     Full,
     Logs,
     Out,
-    Processes,
     Result,
     Robot,
-    Scheduler,
+    Sharing,
     TimelineFiles,
     Unchecked,
     is_result,
@@ -43,10 +42,8 @@ from asbuilt.cli.arguments.options import (
     read_recordings_of_robot,
     read_robot_and_recordings,
     refuse_idle,
-    refuse_sharing,
     require_distinct_logs,
-    require_writable_file,
-    share_workers,
+    written_file,
 )
 from asbuilt.cli.arguments.spread import find_given_options, require_known_value
 from asbuilt.tables import wrap_text
@@ -78,11 +75,9 @@ def validate(
     ] = None,
     animation: Annotated[
         Path | None,
-        typer.Option(
+        written_file(
             "--animation",
-            metavar="FILE",
-            help="measured and simulated motion of the longest rollout as .webp or .gif",
-            callback=require_writable_file,
+            text="measured and simulated motion of the longest rollout as .webp or .gif",
         ),
     ] = None,
     require: Annotated[
@@ -90,8 +85,7 @@ def validate(
         typer.Option("--require", help="exit with status 1 if the model predicts worse than CAD"),
     ] = False,
     unchecked: Unchecked = False,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    sharing: Sharing,
     reading: ReadingOptions,
     filtering: Filtering,
     timelines: TimelineFiles,
@@ -103,7 +97,7 @@ def validate(
     require_distinct_logs(log)
     if rollout is None:
         refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
-        refuse_sharing("only rollouts are shared", workers, scheduler)
+        sharing.refuse("only rollouts are shared")
     options = ValidationOptions(
         chain=filtering.chain() if any(filtering.given.values()) else None,
         rollout=() if rollout is None else parse_horizons(rollout),
@@ -115,7 +109,7 @@ def validate(
             {"--require": require},
         )
         refuse_idle("timelines show the predictions of a result", find_given_options(timelines))
-        with share_workers(workers, scheduler) as shared:
+        with sharing.open() as shared:
             _validate_described(
                 result, log, options, reading, out, animation, shared, full=full, as_json=as_json
             )
@@ -127,7 +121,7 @@ def validate(
     from asbuilt.workflow.validation import decide_validation_verdict
 
     validations = asbuilt.validate(identified, logged, options=options)
-    with share_workers(workers, scheduler) as shared:
+    with sharing.open() as shared:
         simulated = asbuilt.roll_out_result(
             identified, logged, options.rollout, options=options, workers=shared
         )
@@ -305,7 +299,7 @@ def compare(
             lambda: drift.as_text(full) + list_files(files),
         )
         return
-    design = None if cad is None else load_described_robot(cad)
+    design = None if cad is None else asbuilt.load_robot(cad)
     if design is not None:
         held = identified.model.locked_joints.items()
         design = design.locked({name: at for name, at in held if name in design.joint_names})

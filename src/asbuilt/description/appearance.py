@@ -77,10 +77,8 @@ def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
     """
     if not inertia.mass > 0.0 or not inertia.is_consistent:
         return None
-    moments, axes = np.linalg.eigh(inertia.inertia_about_com)
+    moments, axes = inertia.principal_axes
     squares = 2.5 * (moments.sum() - 2.0 * moments) / inertia.mass
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0
     return np.sqrt(np.maximum(squares, 0.0)), axes
 
 

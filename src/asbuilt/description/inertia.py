@@ -118,6 +118,14 @@ class LinkInertia:
         return np.linalg.eigvalsh(self.inertia_about_com).astype(np.float64)
 
     @property
+    def principal_axes(self) -> tuple[Array, Array]:
+        """The principal moments, ascending, and the right-handed axes (3, 3) as columns."""
+        moments, axes = np.linalg.eigh(self.inertia_about_com)
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1.0
+        return moments, axes
+
+    @property
     def pseudo_inertia(self) -> Array:
         """Pseudo-inertia `[[Sigma, h], [h^T, m]]` with `Sigma = tr(I)/2 1 - I`, shape (4, 4).
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files
@@ -12,12 +12,17 @@ from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
 
-from asbuilt.description.formats.description_format import FORMATS, format_of, list_suffixes
+from asbuilt.description.formats.description_format import (
+    DESCRIPTION_FORMATS,
+    format_of,
+    list_suffixes,
+)
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
+from asbuilt.ranges import option, switch
 from asbuilt.untrusted import allow_xacro_python, describe_problem, name_file_in_errors, read_bytes
 
 PATHS = ("URDF_PATH", "MJCF_PATH", "XACRO_PATH")
@@ -60,6 +65,10 @@ def find_published_description(name: str) -> Path:
     return Path(found)
 
 
+HELD_BASE = "hold a free joint of the robot at its pose (a robot hung in the air)"
+CONTACTS = "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseOptions:
     """How the base of a robot stands, as `load_robot` takes it.
@@ -68,23 +77,11 @@ class BaseOptions:
     `contacts` are where it may touch the ground.
     """
 
-    fixed_base: bool = field(
-        default=False,
-        metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
-    )
-    free_base: bool = field(
-        default=False,
-        metadata={"help": "the robot stands on no fixed root: legs, drones, satellites"},
-    )
-    contacts: str | None = field(
-        default=None,
-        metadata={
-            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
-            "metavar": "FRAME,...",
-        },
-    )
+    fixed_base: bool = switch(False, HELD_BASE)
+    free_base: bool = switch(False, "the robot stands on no fixed root: legs, drones, satellites")
+    contacts: str | None = option(None, "FRAME,...", CONTACTS)
 
-    def load_robot(self, name_or_path: str | os.PathLike[str]) -> RobotModel:
+    def load_robot(self, name_or_path: RobotModel | str | os.PathLike[str]) -> RobotModel:
         """Return the robot that a name or a path describes, on this base."""
         return load_robot(
             name_or_path,
@@ -95,7 +92,7 @@ class BaseOptions:
 
 
 def load_robot(
-    name_or_path: str | os.PathLike[str],
+    name_or_path: RobotModel | str | os.PathLike[str],
     *,
     fixed_base: bool = False,
     base: BaseKind = "fixed",
@@ -109,7 +106,8 @@ def load_robot(
     name_or_path
         Name of a bundled robot, or of one of the package `robot_descriptions` such as
         `panda_description`, or a file: TOML, URDF, MJCF, SDF, xacro, a DH and mass table (CSV), or
-        a format that another distribution registers. XML is recognised by content.
+        a format that another distribution registers. XML is recognised by content. A robot that
+        is loaded already is returned as it is.
     fixed_base
         Whether a free joint is held at its pose, as of a robot hung in the air.
     base
@@ -136,6 +134,8 @@ def load_robot(
     >>> load_robot("two-link").joint_names
     ('joint_1', 'joint_2')
     """
+    if isinstance(name_or_path, RobotModel):
+        return name_or_path
     with allow_xacro_python(trust_xacro):
         found = _load(os.fspath(name_or_path), fixed_base, base)
     if not contacts:
@@ -184,9 +184,9 @@ def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
     content = read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION)
     found = format_of(path, content)
     if found is None and find_outermost_tag(content):
-        found = FORMATS["urdf"]
+        found = DESCRIPTION_FORMATS["urdf"]
     if found is None:
-        titles = ", ".join(each.title for each in FORMATS.values())
+        titles = ", ".join(each.title for each in DESCRIPTION_FORMATS.values())
         raise DescriptionError(
             f"{path} is not a robot description in a known format; formats are {titles}",
             file=str(path),

@@ -296,7 +296,7 @@ class RobotModel:
         refuse_ground(self.name, self.contacts)
 
     @cached_property
-    def standing(self) -> RobotModel:
+    def on_held_base(self) -> RobotModel:
         """The robot with its base held still at zero; itself on a fixed root."""
         held = dict.fromkeys(self.joint_names[: self.n_floating], 0.0)
         return replace(self.locked(held), locked_joints=self.locked_joints) if held else self
@@ -306,7 +306,7 @@ class RobotModel:
 
         Raises `DescriptionError` where there is none that moves.
         """
-        moving = {each: place for each, place in self.places.items() if place[0] != ROOT}
+        moving = self.moving_places
         if name not in moving:
             raise DescriptionError(
                 f"{self.name} has no moving link or frame {name!r}; it has {', '.join(moving)}",
@@ -314,6 +314,11 @@ class RobotModel:
                 available=[*moving],
             )
         return moving[name]
+
+    @property
+    def moving_places(self) -> dict[str, tuple[int, Array]]:
+        """Link and pose (4, 4) in it by name, of the links and frames that move."""
+        return {name: place for name, place in self.places.items() if place[0] != ROOT}
 
     @property
     def places(self) -> dict[str, tuple[int, Array]]:

@@ -153,8 +153,9 @@ class RegressorPlan:
     joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint
     k and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among
     the drive columns of joint k in its own torque, and their rows; `motor_rows` lists (motor,
-    column, joint, row) for motors that several joints turn. `tree` makes the rows of links where
-    joints follow others.
+    column, joint, row) for motors that several joints turn. `tree` are the rows by the
+    joints of the links, of which virtual work makes the rows of the coordinates; None where each
+    coordinate is a joint.
 
     >>> from asbuilt.description.load import load_robot
     >>> plan = RegressorPlan.of(load_robot("kuka-iiwa7-r800"), columns=range(60, 70))

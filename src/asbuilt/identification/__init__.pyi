@@ -60,6 +60,7 @@ from .information.square_root_information import reduce_rows as reduce_rows
 from .information.triangular import ROWS_AT_ONCE as ROWS_AT_ONCE
 from .information.triangular import FactorSolution as FactorSolution
 from .information.triangular import GrowingFactor as GrowingFactor
+from .information.triangular import is_triangular as is_triangular
 from .information.triangular import rank_tolerance as rank_tolerance
 from .information.triangular import solve_factor as solve_factor
 from .information.triangular import triangular_factor as triangular_factor

@@ -27,6 +27,6 @@ from .rollout.position_errors import position_unit as position_unit
 from .rollout.rollout import Rollout as Rollout
 from .rollout.rollout import SimulatedMotion as SimulatedMotion
 from .rollout.rollout import rollout_findings as rollout_findings
+from .verdicts.model_errors import NearestModel as NearestModel
 from .verdicts.verdict import Verdict as Verdict
 from .verdicts.verdict import study_verdict as study_verdict
-from .verdicts.verdict_error import NearestModel as NearestModel

@@ -210,7 +210,7 @@ def _predict_described(model: RobotModel, samples: Samples) -> Prediction:
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:
     """Return the unit of each joint's torque: N m if revolute, N if prismatic."""
-    return tuple("N m" if joint.is_revolute else "N" for joint in model.joints)
+    return tuple(joint.torque_unit for joint in model.joints)
 
 
 def derive_cad_values(result: IdentificationResult, cad: RobotModel) -> Array:

@@ -47,6 +47,7 @@ from asbuilt.identification.calibration.two_channels import (
 )
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import Prediction
+from asbuilt.scaled import find_column_space
 from asbuilt.tables import round_significant
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 from asbuilt.workflow.study import Study
@@ -100,7 +101,7 @@ def identify_payload(
         If the recordings do not determine a mass.
     """
     options = options or PayloadOptions()
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     prepared = _prepare_loaded(
         result, recordings, (unloaded, validation), options, options.holdout, progress
     )
@@ -138,7 +139,7 @@ def identify_moments(
     cover the difference alone.
     """
     options = options or PayloadOptions()
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     prepared = _prepare_loaded(result, recordings, (unloaded,), options, None, progress)
     (bare,) = prepared.others
     return identify_added_moments(result, prepared.training, unloaded=bare, frame=options.frame)
@@ -206,8 +207,7 @@ def find_gains(
         If the recordings do not determine the gains.
     """
     options = options or GainOptions()
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (bare, under) = read_fitted_recordings(model, (recordings, loaded))
+    model, (bare, under) = read_fitted_recordings(load_robot(robot), (recordings, loaded))
     prepared = prepare(
         model,
         [*bare, *under],
@@ -277,8 +277,7 @@ def identify_channels(
         If the two channels were not logged at the same instants.
     """
     options = options or ChannelOptions()
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (sensors, motors) = read_fitted_recordings(model, (sensor, motor))
+    model, (sensors, motors) = read_fitted_recordings(load_robot(robot), (sensor, motor))
     if len(sensors) != len(motors):
         raise UsageError(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
@@ -416,7 +415,7 @@ def _fit_any_masses(
         columns=result.base.columns,
     ).reshape(len(samples.q), n, -1)
     weighted = samples.filtered(columns) * result.weights[:, None]
-    basis = _find_basis(weighted.reshape(-1, weighted.shape[2]))
+    basis = find_column_space(weighted.reshape(-1, weighted.shape[2]))
     logged, other = (
         _measure_remaining_error(torque * result.weights, basis)
         for torque in (arm.measured, changed)
@@ -438,15 +437,7 @@ def _build_body_torques(
         columns[:, :, i] = samples.filtered(
             inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
         )
-    return _find_basis((columns * result.weights[:, None]).reshape(-1, 10))
-
-
-def _find_basis(columns: Array) -> Array:
-    """Return an orthonormal basis (N, r) of the span of columns (N, m)."""
-    basis, lengths, _ = np.linalg.svd(columns, full_matrices=False)
-    # A body in a frame on an axis has directions without torque.
-    rounding = np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)
-    return np.asarray(basis[:, lengths > rounding])
+    return find_column_space((columns * result.weights[:, None]).reshape(-1, 10))
 
 
 def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array, str, Cure]]:

@@ -123,7 +123,7 @@ def compare_controller(
         If the recording has no external torque, or a check finds an error in it.
     """
     options = options or ControllerOptions()
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     logged = _read_whole(result, recording)
     external = logged.extra.get(EXTERNAL)
     if external is None or external.shape != logged.tau.shape:

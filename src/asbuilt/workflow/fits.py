@@ -30,11 +30,11 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import is_sure, list_term_places
 from asbuilt.identification.effects.families.drive_terms import drop_terms, takes_place_of_simpler
 from asbuilt.identification.effects.families.tilt import Tilt
+from asbuilt.identification.effects.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.result.feasible import list_open
-from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.study_options import StudyOptions

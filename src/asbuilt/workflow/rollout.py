@@ -79,7 +79,7 @@ def roll_out_result(
     options = options or ValidationOptions()
     cad = options.cad
     chain = options.chain or result.chain
-    cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
+    cad = None if cad is None else load_robot(cad)
     results = []
     parts = []
     for item in as_recordings(result.model, recordings):
@@ -104,8 +104,7 @@ def roll_out_robot(
     Parameters and errors as for `roll_out_result`; there is no robot as built.
     """
     options = options or ValidationOptions()
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (logged,) = read_fitted_recordings(model, (recordings,))
+    model, (logged,) = read_fitted_recordings(load_robot(robot), (recordings,))
     parts = [
         _prepare_part(drive_as_described(model, item), options.chain, None, MotionFilters())
         for item in logged

@@ -45,8 +45,8 @@ from asbuilt.validation import (
     study_verdict,
 )
 from asbuilt.validation.rollout.rollout import tabulate_joint_errors
+from asbuilt.validation.verdicts.model_errors import ModelErrors, choose_decisive_rollout
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
-from asbuilt.validation.verdicts.verdict_error import VerdictError, choose_decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fits import fit_study
 from asbuilt.workflow.prepare import (
@@ -225,7 +225,7 @@ class Study:
         return cls(result, found, stored_verdict=verdict)
 
 
-def _name_model(joints: Table, error: VerdictError) -> Table:
+def _name_model(joints: Table, error: ModelErrors) -> Table:
     """Return the errors of joints with whose they are, where the verdict's is of another model."""
     fitted = format_share(error.as_built)
     exported = format_share(error.exported)
@@ -306,8 +306,7 @@ def identify(
     wanted = replace(options or StudyOptions(), **of_study)
     reading = ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
-    if not isinstance(robot, RobotModel):
-        robot = reading.base.load_robot(robot)
+    robot = reading.base.load_robot(robot)
     if wanted.refine:
         robot.require_no_reactions()
     if wanted.rollout:
@@ -374,14 +373,14 @@ def settle_torque(
     Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
     some serve others too. Raises `UsageError` where recordings have torques of different kinds.
     """
-    if not any(map(_has_command, (*recordings, *validation))):
+    if not any(map(_has_drive_law, (*recordings, *validation))):
         return [*recordings], [*validation], MeasuredTorque(), options
     from asbuilt.workflow.servo import settle_servo  # noqa: PLC0415 - light start
 
     return settle_servo(model, recordings, validation, options, filters)
 
 
-def _has_command(item: Recorded) -> bool:
+def _has_drive_law(item: Recorded) -> bool:
     return not isinstance(item, Samples) and head_of(item).drive_law is not None
 
 

@@ -21,7 +21,7 @@ from asbuilt.identification.bodies.known_masses import (
 from asbuilt.identification.effects.effect import EffectsWanted
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.uncertainty.error_kinds import ERROR_KINDS, ErrorKind
-from asbuilt.ranges import Range
+from asbuilt.ranges import Range, option, switch
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -76,11 +76,6 @@ def _check_rule(rule: str | None) -> None:
         from asbuilt.experiment.signal.samples import parse_rule  # noqa: PLC0415 (heavy)
 
         parse_rule(rule)
-
-
-def _make_option(default: Any, metavar: str, help: str, **further: Any) -> Any:
-    """Return a field with its description, and how an interface reads it from text."""
-    return field(default=default, metadata={"metavar": metavar, "help": help} | further)
 
 
 CHECKED = {"help": "use the recordings whatever their checks find"}
@@ -163,14 +158,14 @@ class StudyOptions:
         If the rule cannot be read.
     """
 
-    drive: DriveSet | str | None = _make_option(
+    drive: DriveSet | str | None = option(
         None,
         "LIST",
         "drive terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives),"
         " none, or auto: chosen on held-out blocks (auto,spring: with a spring)",
         parse=_parse_drive,
     )
-    method: str = _make_option(
+    method: str = option(
         "auto",
         "NAME",
         "estimator; auto chooses one, an unknown name lists all",
@@ -180,45 +175,45 @@ class StudyOptions:
     chain: SignalChain | None = None
     sweep_cutoff: bool = False
     holdout: str | None = field(default=AUTOMATIC, metadata=HOLDOUT_AND_REFIT)
-    undetermined: Literal["toward_prior", "refuse"] = _make_option(
+    undetermined: Literal["toward_prior", "refuse"] = option(
         "toward_prior",
         "HOW",
         "what no motion excites: cad (keep at CAD, named) or refuse",
         choices={"cad": "toward_prior", "refuse": "refuse"},
         also=("--prior",),
     )
-    effects: EffectsWanted | str = _make_option(
+    effects: EffectsWanted | str = option(
         EffectsWanted(),
         "HOW",
         "effects that the description lacks: auto (into the model), find (named), none, or a list"
         " such as spring:joints=2,tilt",
         parse=EffectsWanted.parse,
     )
-    mounting: Literal["as_described", "estimate"] = _make_option(
+    mounting: Literal["as_described", "estimate"] = option(
         "as_described",
         "HOW",
         "direction of gravity: cad (as described) or estimate",
         choices={"cad": "as_described", "estimate": "estimate"},
     )
-    total_mass: tuple[float, float] | str | None = _make_option(
+    total_mass: tuple[float, float] | str | None = option(
         None,
         "KG+-KG[,root=KG]",
         "mass of all moving links, from a scale; with root=KG less the root link's",
         parse=total_mass_from_text,
     )
-    link_mass: Mapping[str, tuple[float, float]] | str | None = _make_option(
+    link_mass: Mapping[str, tuple[float, float]] | str | None = option(
         None,
         "NAME=KG+-KG,...",
         "known masses of moving links: NAME=KG+-KG, NAME<=KG or NAME>=KG",
         parse=link_masses_from_text,
     )
-    siblings: Sibling | str | Path | None = _make_option(
+    siblings: Sibling | str | Path | None = option(
         None,
         "FILE",
         "numbers of a robot of the type as built (the JSON of its page) as prior in place of CAD",
         parse=read_sibling,
     )
-    errors: ErrorKind = _make_option(
+    errors: ErrorKind = option(
         "blocks",
         "KIND",
         "standard errors: blocks (time blocks, by formula), bootstrap (time blocks drawn with"
@@ -227,15 +222,14 @@ class StudyOptions:
     )
     block_seconds: float | None = None
     rollout: tuple[float, ...] = field(default=(), metadata=ROLLOUT)
-    refine: Literal["rollout"] | None = _make_option(
+    refine: Literal["rollout"] | None = option(
         None,
         "HOW",
         "continue the fit: rollout (by simulated trajectories)",
         choices=("rollout",),
     )
-    same_servos: bool = field(
-        default=False,
-        metadata={"help": "position servos are alike: one unknown stiffness for all joints"},
+    same_servos: bool = switch(
+        False, "position servos are alike: one unknown stiffness for all joints"
     )
     checked: bool = field(default=True, metadata=CHECKED)
     threads: int | None = None
@@ -321,10 +315,10 @@ class PayloadOptions:
         If the rule cannot be read.
     """
 
-    frame: str | None = _make_option(
+    frame: str | None = option(
         None, "NAME", "link or frame that carries the payload (default: the flange)"
     )
-    arm: Literal["refined", "frozen"] = _make_option(
+    arm: Literal["refined", "frozen"] = option(
         "refined",
         "HOW",
         "refined (with the payload, held by the result) or frozen",

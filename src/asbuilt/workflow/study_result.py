@@ -21,6 +21,7 @@ from asbuilt.identification.effects.effect_findings import (
     report_effects,
     report_springs_alike,
 )
+from asbuilt.identification.effects.plateaus import report_plateaus
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
@@ -45,8 +46,7 @@ from asbuilt.validation.generalisation.generalisation import (
     report_nameless,
     report_unexplained,
 )
-from asbuilt.validation.generalisation.plateaus import report_plateaus
-from asbuilt.validation.verdicts.verdict_error import with_exported
+from asbuilt.validation.verdicts.model_errors import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples

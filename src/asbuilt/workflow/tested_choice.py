@@ -15,7 +15,7 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.identification.statistics import exceeds
-from asbuilt.validation.generalisation.coverage import NEAR, measure_repeated_share
+from asbuilt.validation.generalisation.coverage import REPEATED, measure_repeated_share
 from asbuilt.workflow.prepare import Prepared
 
 FEWEST_BLOCKS = 3
@@ -57,7 +57,7 @@ class LeftOut:
         samples = [
             each
             for each in prepared.unseen
-            if even_repeated or measure_repeated_share(prepared.training, each) <= NEAR.repeated
+            if even_repeated or measure_repeated_share(prepared.training, each) <= REPEATED
         ]
         seen = _accumulate_for(fit, samples)
         if sum(each.n_blocks for each in seen) < FEWEST_BLOCKS:

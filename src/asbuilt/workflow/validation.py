@@ -32,7 +32,7 @@ from asbuilt.validation import (
 )
 from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
-from asbuilt.validation.verdicts.verdict_error import with_exported
+from asbuilt.validation.verdicts.model_errors import with_exported
 from asbuilt.workflow.prepare import (
     Progress,
     find_unseeing,
@@ -79,9 +79,9 @@ def validate(
         If joints or geometry do not fit.
     """
     options = options or ValidationOptions()
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     cad = options.cad
-    cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
+    cad = None if cad is None else load_robot(cad)
     found = []
     for recording in as_recordings(result.model, recordings):
         fitted, samples = _prepare_recording(result, recording, options)
@@ -134,8 +134,7 @@ def validate_robot(
         If a recording has commands and no gains, whose torque is unknown.
     """
     options = options or ValidationOptions()
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (logged,) = read_fitted_recordings(model, (recordings,))
+    model, (logged,) = read_fitted_recordings(load_robot(robot), (recordings,))
     for recording in logged:
         require_torque(recording)
     return tuple(
@@ -238,8 +237,7 @@ def review(
     # Nothing is held out: there is no prediction to judge.
     if options.holdout == AUTOMATIC:
         options = replace(options, holdout=None)
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (logged,) = read_fitted_recordings(model, (recordings,))
+    model, (logged,) = read_fitted_recordings(load_robot(robot), (recordings,))
     study = identify(model, logged, options=options, progress=progress)
     result = study.result
     peaks, motions = find_asked_torques(result, logged, study.training)

@@ -10,9 +10,8 @@ from pydantic import BaseModel
 
 from asbuilt.codec import format_json
 from asbuilt.description.toml_tables import RobotFile
-from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.registry import suggest_name
+from asbuilt.registry import check_known
 from asbuilt.writing import atomic_write
 
 SCHEMAS: dict[str, type[BaseModel]] = {"robot": RobotFile, "sheet": RecordingSheet}
@@ -27,13 +26,7 @@ def json_schema(kind: str) -> dict[str, Any]:
     UsageError
         If there is no such kind.
     """
-    if kind not in SCHEMAS:
-        raise UsageError(
-            f"there is no schema {kind!r}; {suggest_name(kind, SCHEMAS)}there are"
-            f" {', '.join(SCHEMAS)}",
-            value=kind,
-            available=[*SCHEMAS],
-        )
+    check_known("schema", kind, SCHEMAS)
     schema: dict[str, Any] = _drop_infinite_defaults(SCHEMAS[kind].model_json_schema())
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from asbuilt.codec import format_json
 from asbuilt.description import LinkInertia, load_robot
 from asbuilt.dynamics import DriveSet
 from asbuilt.errors import InertiaError
@@ -32,7 +33,7 @@ from asbuilt.validation import CadTolerance, compare, compare_results
 from asbuilt.workflow import Study
 from asbuilt.writers import as_built, identify_document
 from asbuilt.writers.models.physical import refuse_inconsistent
-from asbuilt.writers.tables.tabular import format_json, tabulate_identified
+from asbuilt.writers.tables.tabular import tabulate_identified
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 TOOL = LinkInertia.from_com(1.8, [0.03, -0.02, 0.09], np.diag([0.011, 0.009, 0.006]))

@@ -16,8 +16,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.apps.fleet import (
-    Addition,
+from asbuilt import (
     FleetIdentification,
     FleetOptions,
     add_logs,
@@ -26,6 +25,7 @@ from asbuilt.apps.fleet import (
     open_ledger,
     rebuild_ledger,
 )
+from asbuilt.apps.fleet import Addition
 from asbuilt.apps.fleet.reduction.add import make_identity_finder
 from asbuilt.errors import IdentifiabilityError, RecordingError, ResultError, UsageError
 from asbuilt.experiment import prepare_samples, read_recording

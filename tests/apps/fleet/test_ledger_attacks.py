@@ -19,8 +19,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.apps.fleet import (
-    Addition,
+from asbuilt import (
     FleetOptions,
     Ledger,
     add_logs,
@@ -29,6 +28,7 @@ from asbuilt.apps.fleet import (
     fleet_overview,
     open_ledger,
 )
+from asbuilt.apps.fleet import Addition
 from asbuilt.apps.fleet.ledger.entry import EntryName, digest_content
 from asbuilt.apps.fleet.ledger.store import check_robot_id, find_identity
 from asbuilt.apps.fleet.reduction.add import make_identity_finder

@@ -9,13 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.fleet import (
-    FleetIdentification,
-    FleetOptions,
-    add_logs,
-    fleet_identify,
-    open_ledger,
-)
+from asbuilt import FleetIdentification, FleetOptions, add_logs, fleet_identify, open_ledger
 from asbuilt.description import bundled_robot
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.excitation import random_fourier

@@ -13,7 +13,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from asbuilt.apps.fleet import FleetOptions, add_logs, fleet_identify, fleet_overview
+from asbuilt import FleetOptions, add_logs, fleet_identify, fleet_overview
 from fleet_logs import MODEL, content_of, write_logs
 
 HERE = FleetOptions(workers=0)

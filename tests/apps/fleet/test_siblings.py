@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.fleet import FleetIdentification, FleetOptions, add_logs, fleet_identify
+from asbuilt import FleetIdentification, FleetOptions, add_logs, fleet_identify
 from asbuilt.apps.fleet.identification import (
     SIBLINGS,
     SiblingPrior,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.apps.masses import link_masses
+from asbuilt import link_masses
 from asbuilt.apps.masses.cad.solids import look_up_density
 from asbuilt.description import bundled_robot, load_robot
 from asbuilt.errors import DescriptionError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.masses import link_masses
+from asbuilt import link_masses
 from asbuilt.cli import app
 from asbuilt.description import LinkInertia, load_robot
 from asbuilt.description.formats.urdf import read_urdf

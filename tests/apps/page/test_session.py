@@ -14,7 +14,7 @@ import pytest
 import typer
 
 from asbuilt.apps.page import session as page_session
-from asbuilt.apps.page.choices import FORMATS, Choices, set_option
+from asbuilt.apps.page.choices import EXPORTS, Choices, set_option
 from asbuilt.apps.page.session import STEPS, Job, Session
 from asbuilt.cli.app import app
 from asbuilt.errors import UsageError
@@ -265,7 +265,7 @@ def test_steps_wait_for_what_they_need(
     assert why in str(session.refusal(step))
 
 
-@pytest.mark.parametrize("step", [*STEPS, *FORMATS])
+@pytest.mark.parametrize("step", [*STEPS, *EXPORTS])
 def test_every_step_is_a_command_that_the_program_takes(session: Session, step: str) -> None:
     session.choose(
         {
@@ -273,10 +273,10 @@ def test_every_step_is_a_command_that_the_program_takes(session: Session, step: 
             "reading": "--rate 100 --sheet 'a sheet.toml'",
             "options": "--method wls --cutoff 10",
             "effects": "tilt,spring:joints=2",
-            "export": step if step in FORMATS else "urdf",
+            "export": step if step in EXPORTS else "urdf",
         }
     )
-    step = "export" if step in FORMATS else step
+    step = "export" if step in EXPORTS else step
     shown = session.as_document()["steps"][step]["command"]
     program, name, *arguments = shlex.split(shown)
     assert program == "asbuilt"

@@ -12,7 +12,7 @@ import pytest
 from chromium import chromium
 
 from asbuilt.apps.page import session as page_session
-from asbuilt.apps.page.choices import FORMATS, Choices
+from asbuilt.apps.page.choices import EXPORTS, Choices
 from asbuilt.apps.page.server import PageServer
 from asbuilt.apps.page.session import Session
 from faked_commands import FakedWorker
@@ -153,7 +153,7 @@ def acts(browser: Any, folder: Path, rng: random.Random) -> list[Callable[[], An
         run(CLICK, "#effects input, #effects-button", number()),
         run(CLICK, "#view-button", 0),
         run(CLICK, "#export-button", 0),
-        run(ENTER, "export-format", rng.choice([*FORMATS])),
+        run(ENTER, "export-format", rng.choice([*EXPORTS])),
         run(CLICK, "#sample", 0),
         run(UPLOAD, "log-file", str(number() % 3), "log.csv"),
         run(UPLOAD, "robot-file", str(number() % 3), "arm.urdf"),
@@ -182,7 +182,7 @@ def test_a_walk_ends_where_a_new_page_begins(
             # What was refused stays to be mended until it is undone or something is accepted.
             browser.execute_async_script(SETTLE)
             browser.execute_script(CLICK, "#undo", 0)
-            browser.execute_script(ENTER, "export-format", rng.choice([*FORMATS]))
+            browser.execute_script(ENTER, "export-format", rng.choice([*EXPORTS]))
             browser.execute_async_script(SETTLE)
             shown = browser.execute_script(SCREEN)
             browser.switch_to.window(fresh)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.apps.paper import run_demo
+from asbuilt import run_demo
 from asbuilt.apps.paper.demo import Demo, demo_document, describe_demo
+from asbuilt.codec import format_json
 from asbuilt.description import load_robot
-from asbuilt.writers.tables.tabular import format_json
 from command_line import documented_fields
 from shown_numbers import missing
 

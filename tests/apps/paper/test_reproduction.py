@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.paper import reproduce_paper
+from asbuilt import reproduce_paper
 from asbuilt.apps.paper.pages import (
     describe_reproduction,
     reproduction_document,

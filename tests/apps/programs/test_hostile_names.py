@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 import yaml
 
-from asbuilt.apps.programs import make_program
+from asbuilt import make_program
 from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile
 from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.excitation import QuinticMotion

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 import yaml
 
-from asbuilt.apps.programs import make_program, program_format, write_program
+from asbuilt import make_program
+from asbuilt.apps.programs import program_format, write_program
 from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile
 from asbuilt.apps.programs.naming import (
     make_class_name,

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.programs import make_program, write_program
+from asbuilt import make_program
+from asbuilt.apps.programs import write_program
 from asbuilt.description import bundled_robot
 from asbuilt.excitation import Motion, random_fourier
 from asbuilt.experiment import read_recording

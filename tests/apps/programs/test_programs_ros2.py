@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import yaml
 
-from asbuilt.apps.programs import make_program, write_program
+from asbuilt import make_program
+from asbuilt.apps.programs import write_program
 from asbuilt.description import bundled_robot
 from asbuilt.excitation import Motion, random_fourier
 from studied_cases import first_of

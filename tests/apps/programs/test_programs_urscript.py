@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from asbuilt.apps.programs import make_program
+from asbuilt import make_program
 from asbuilt.description import bundled_robot
 from asbuilt.excitation import Motion, random_fourier
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.apps.watch import Thresholds
+from asbuilt import Thresholds
 from asbuilt.identification import IdentificationResult
 from asbuilt.writers.models.export import write_observer
 

@@ -13,7 +13,7 @@ from test_export import result_of
 from test_rich_drives import coupled, rich_result
 from watched_robot import WatchedRobot
 
-from asbuilt.apps.watch import Observer, Thresholds
+from asbuilt import Observer, Thresholds
 from asbuilt.cli import main
 from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.dynamics import coriolis_torque, gravity_torque

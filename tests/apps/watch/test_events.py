@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from watched_robot import RATE, WatchedRobot, recorded
 
-from asbuilt.apps.watch import Observed, Observer, WatchedLog, WatchOptions, watch
+from asbuilt import Observer, WatchOptions, watch
+from asbuilt.apps.watch import Observed, WatchedLog
 from asbuilt.apps.watch.causal_filter import choose_pole
 from asbuilt.apps.watch.events import (
     excess_response,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from watched_robot import RATE, WatchedRobot
 
-from asbuilt.apps.watch import Observer, estimate_contact
+from asbuilt import Observer
+from asbuilt.apps.watch import estimate_contact
 from asbuilt.apps.watch.events import frame_jacobian
 from asbuilt.description import bundled_robot
 from asbuilt.dynamics import DriveSet, TorqueModel, gravity_torque

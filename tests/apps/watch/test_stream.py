@@ -15,16 +15,8 @@ import numpy as np
 import pytest
 from watched_robot import WatchedRobot
 
-from asbuilt import ReadingOptions
-from asbuilt.apps.watch import (
-    Event,
-    Observer,
-    StreamWatch,
-    make_stream_observer,
-    read_lines,
-    watch,
-    watch_stream,
-)
+from asbuilt import Observer, ReadingOptions, watch
+from asbuilt.apps.watch import Event, StreamWatch, make_stream_observer, read_lines, watch_stream
 from asbuilt.apps.watch.stream import MOST_BROKEN, RowReader
 from asbuilt.description import bundled_robot
 from asbuilt.errors import RecordingError, UsageError

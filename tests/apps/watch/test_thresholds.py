@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from asbuilt.apps.watch import Observed, set_thresholds
+from asbuilt import set_thresholds
+from asbuilt.apps.watch import Observed
 from asbuilt.apps.watch.causal_filter import largest_velocity_error
 from asbuilt.apps.watch.thresholds import MANY, estimate_levels
 from asbuilt.arrays import Array

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from asbuilt.apps.watch import Observer, Thresholds, set_thresholds
+from asbuilt import Observer, Thresholds, set_thresholds
 from asbuilt.apps.watch.causal_filter import largest_velocity_error
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, bundled_robot

@@ -47,7 +47,7 @@ JSON_CHAIN = '''
 import json
 
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import Joint, Link, RobotModel
@@ -61,7 +61,7 @@ def read_chain(path):
     ).with_parameters(document["scale"] * arm.parameters)
 
 
-FORMATS.register("chain", DescriptionFormat("JSON chain", (".chain",), read_chain))
+DESCRIPTION_FORMATS.register("chain", DescriptionFormat("JSON chain", (".chain",), read_chain))
 '''
 
 

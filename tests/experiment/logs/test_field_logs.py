@@ -17,11 +17,11 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment import (
     ReadingOptions,
     RecordingSheet,
+    RecordingStream,
     check_recording,
     propose_sheet,
     read_recording,
 )
-from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.untrusted import parse_toml
 from command_line import call
 

@@ -5,15 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from asbuilt import StudyOptions, identify, load_robot, simulate_recording
-from asbuilt.description.inertia import LinkInertia, shift_matrix
+from asbuilt import LinkInertia, StudyOptions, identify, load_robot, simulate_recording
+from asbuilt.description.inertia import shift_matrix
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import read_recording
-from asbuilt.identification.calibration.payload import (
-    choose_payload_frame,
-    identify_payload_samples,
-)
+from asbuilt.identification import choose_payload_frame, identify_payload_samples
 from asbuilt.identification.calibration.payload_rows import (
     UNCALIBRATED,
     USUAL_UNCERTAINTY,

@@ -17,7 +17,7 @@ from asbuilt.experiment import Recording, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
 from asbuilt.identification import FoundEffect, find_effects
 from asbuilt.identification.effects.effect_findings import report_effects
-from asbuilt.validation.generalisation.plateaus import (
+from asbuilt.identification.effects.plateaus import (
     drop_plateaus,
     find_plateaus,
     report_plateaus,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from asbuilt.errors import UsageError
-from asbuilt.identification.effects.effect import EFFECTS, Effect, effect
+from asbuilt.identification import EFFECTS
+from asbuilt.identification.effects.effect import Effect, effect
 
 
 def test_an_effect_with_columns_of_its_own_is_only_named() -> None:

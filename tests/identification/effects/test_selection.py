@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from asbuilt.identification import evaluate_worth
+from asbuilt.identification import MODEL, TimeBlock, evaluate_worth
 from asbuilt.identification.effects.effect import Effect
 from asbuilt.identification.effects.gathering import EFFECT_COLUMNS, Candidate
 from asbuilt.identification.effects.selection import Selection, _find_best_form
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
-from asbuilt.identification.information.equations import MODEL, BlockRows
-from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.information.equations import BlockRows
 
 BASE, ALL, BLOCKS, SAMPLES = 4, 10, 12, 30
 SUPPORT = (np.array([0, 1, 2, 4, 7, 8]), np.array([1, 2, 3, 5, 6, 7, 8, 9]), np.array([3, 7, 8]))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.identification.information.equations import MODEL, BlockRows
-from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification import MODEL, TimeBlock
+from asbuilt.identification.information.equations import BlockRows
 
 SUPPORT = (np.array([0, 1, 2, 5, 9]), np.array([1, 2, 3, 4, 6, 7, 9]), np.array([2, 8]))
 COLUMNS = 10

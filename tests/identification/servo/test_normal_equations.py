@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from asbuilt.identification.information.equations import Equations
-from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification import Equations, TimeBlock
 from asbuilt.identification.servo.servo_fits import _solve_bounded
 from asbuilt.identification.servo.servo_rows import block_energies, block_weights
 

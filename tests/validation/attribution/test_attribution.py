@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from virtual_causes import TOOL, divided, identified, recorded
 
+from asbuilt.codec import format_json
 from asbuilt.description import load_robot
 from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification import IdentificationResult
 from asbuilt.validation import attribute
 from asbuilt.writers.figures.comparison_figures import draw_attribution
-from asbuilt.writers.tables.tabular import format_json
 
 ARM = "kuka-iiwa7-r800"
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.codec import format_json
 from asbuilt.validation import compare, validate_samples
-from asbuilt.writers.tables.tabular import format_json
 
 
 def test_differences_are_those_of_the_estimates(example: Any) -> None:

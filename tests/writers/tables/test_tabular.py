@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.codec import format_json
 from asbuilt.dynamics import parameter_values
 from asbuilt.validation import validate_samples
 from asbuilt.workflow import Study
 from asbuilt.writers import base_document, identify_document, validate_document, write_json
-from asbuilt.writers.tables.tabular import format_json, tabulate_identified, tabulate_prediction
+from asbuilt.writers.tables.tabular import tabulate_identified, tabulate_prediction
 
 METRICS = {"source", "rms", "max_abs", "r_squared", "relative_error"}
 

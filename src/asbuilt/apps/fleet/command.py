@@ -31,7 +31,7 @@ from asbuilt.cli import (
     answer,
     describe_cure,
     list_files,
-    require_writable_folder,
+    out_folder,
     show_progress,
 )
 
@@ -259,16 +259,7 @@ def drift(
 def report(
     ledger: LedgerPlace,
     *,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="folder for the page",
-            callback=require_writable_folder,
-        ),
-    ],
+    out: Annotated[Path, out_folder("folder for the page")],
     since: ChangesSince = None,
     options: FleetDriftOptions,
     full: Full = False,

@@ -8,7 +8,7 @@ from typing import Literal
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import methods
-from asbuilt.ranges import Range, check_ranges
+from asbuilt.ranges import Range, check_ranges, option
 from asbuilt.workflow import StudyOptions
 
 
@@ -25,21 +25,14 @@ class FleetOptions:
     """
 
     # Processes of one machine.
-    workers: int | None = field(
-        default=None,
-        metadata={
-            "help": "processes that reduce logs (default: one for each core)",
-            "metavar": "N",
-            "range": Range(0, 1024),
-        },
+    workers: int | None = option(
+        None, "N", "processes that reduce logs (default: one for each core)", range=Range(0, 1024)
     )
-    scheduler: str | None = field(
-        default=None,
-        metadata={
-            "help": "Dask scheduler whose workers reduce the logs, such as tcp://10.0.0.1:8786",
-            "metavar": "ADDRESS",
-            "parse": str,
-        },
+    scheduler: str | None = option(
+        None,
+        "ADDRESS",
+        "Dask scheduler whose workers reduce the logs, such as tcp://10.0.0.1:8786",
+        parse=str,
     )
 
     def __post_init__(self) -> None:
@@ -71,24 +64,20 @@ class FleetIdentification:
         If the estimator is unknown, or needs the samples.
     """
 
-    method: str = field(
-        default="consistent",
-        metadata={
-            "metavar": "NAME",
-            "help": "estimator that needs no samples, such as consistent, entropic or wls",
-            "parse": lambda text: methods.find(text).name,
-        },
+    method: str = option(
+        "consistent",
+        "NAME",
+        "estimator that needs no samples, such as consistent, entropic or wls",
+        parse=lambda text: methods.find(text).name,
     )
     undetermined: Literal["toward_prior", "refuse"] = field(
         default="toward_prior", metadata=StudyOptions.__dataclass_fields__["undetermined"].metadata
     )
-    prior: Literal["none", "siblings"] = field(
-        default="none",
-        metadata={
-            "metavar": "NAME",
-            "choices": ("none", "siblings"),
-            "help": "siblings: mean and spread of the other robots of its type, for short logs",
-        },
+    prior: Literal["none", "siblings"] = option(
+        "none",
+        "NAME",
+        "siblings: mean and spread of the other robots of its type, for short logs",
+        choices=("none", "siblings"),
     )
 
     def __post_init__(self) -> None:
@@ -118,13 +107,11 @@ class FleetDriftOptions:
     """
 
     # 0.05: usual share of the robots named that may not have changed.
-    false_discovery_rate: float = field(
-        default=0.05,
-        metadata={
-            "metavar": "SHARE",
-            "help": "share of the robots named that may not have changed",
-            "range": Range(1e-12, 0.999),
-        },
+    false_discovery_rate: float = option(
+        0.05,
+        "SHARE",
+        "share of the robots named that may not have changed",
+        range=Range(1e-12, 0.999),
     )
 
     def __post_init__(self) -> None:

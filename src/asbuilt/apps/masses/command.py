@@ -20,9 +20,8 @@ from asbuilt.cli import (
     answer,
     describe_cure,
     list_files,
-    load_described_robot,
     require_known_value,
-    require_writable_file,
+    written_file,
 )
 from asbuilt.findings import list_findings
 
@@ -59,13 +58,7 @@ def masses(
     ] = "visual",
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="robot with the computed mass properties, .urdf or .toml",
-            callback=require_writable_file,
-        ),
+        written_file(text="robot with the computed mass properties, .urdf or .toml"),
     ] = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -76,7 +69,7 @@ def masses(
     materials and table, each link keeps its mass, spread evenly over its geometry.
     """
     found = asbuilt.link_masses(
-        load_described_robot(robot),
+        asbuilt.load_robot(robot),
         meshes=meshes,
         density=_parse_numbers(_parse_by_link("--density", density)),
         material=_parse_by_link("--material", material),

@@ -41,9 +41,6 @@ from asbuilt.description import (
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Finding
 
-Material = str | float
-"""Name of a material, or a density [kg/m^3]."""
-
 
 @dataclass(frozen=True, eq=False)
 class LinkMasses:

@@ -25,7 +25,7 @@ MOST_LOGS = 1000
 """Recordings that are chosen at once."""
 ROLES = ("logs", "validation", "payload")
 """Fields of `Choices` that hold recordings."""
-FORMATS = {
+EXPORTS = {
     "urdf": ("URDF", "--urdf", "robot_as_built.urdf"),
     "mjcf": ("MJCF (MuJoCo)", "--mjcf", "robot_as_built.xml"),
     "toml": ("robot file of asbuilt", "--toml", "robot_as_built.toml"),
@@ -61,7 +61,7 @@ class Choices:
     effects
         Value of `--effects`; empty: its default.
     export
-        A format of `FORMATS`.
+        A format of `EXPORTS`.
 
     Raises
     ------
@@ -88,9 +88,9 @@ class Choices:
         for line in LINES:
             read_options(line, getattr(self, line))
         _check_text(self.effects)
-        if self.export not in FORMATS:
+        if self.export not in EXPORTS:
             raise UsageError(
-                f"there is no format {self.export!r}", value=self.export, available=[*FORMATS]
+                f"there is no format {self.export!r}", value=self.export, available=[*EXPORTS]
             )
 
     @property

@@ -16,7 +16,7 @@ import typer
 import asbuilt
 from asbuilt import Cure, ReadingOptions, RecordingError, UsageError
 from asbuilt.arrays import Array
-from asbuilt.cli import AsJson, Full, Robot, answer, describe_cure, load_described_robot
+from asbuilt.cli import AsJson, Full, Robot, answer, describe_cure
 from asbuilt.experiment import (
     BASE_VECTORS,
     QUANTITIES,
@@ -162,7 +162,7 @@ def columns(
 
     What is wrong is changed by a recording sheet (--sheet).
     """
-    model = load_described_robot(robot, fixed_base=reading.fixed_base)
+    model = asbuilt.load_robot(robot, fixed_base=reading.fixed_base)
     matched = match_columns(model, log, reading)
     answer(as_json, matched.as_document, lambda: matched.as_text(full))
     if not matched.ok:

@@ -15,7 +15,7 @@ from typing import Any
 
 from asbuilt import UsageError, robot_names
 from asbuilt.apps.page.choices import (
-    FORMATS,
+    EXPORTS,
     LINES,
     Choices,
     Fingerprints,
@@ -176,7 +176,7 @@ class Session:
         }[step]  # fmt: skip
 
     def _list_export_words(self) -> tuple[str, str]:
-        _, option, name = FORMATS[self.choices.export]
+        _, option, name = EXPORTS[self.choices.export]
         path = str(self.folder / name)
         return option, f"{self.choices.export}={path}" if option == "--to" else path
 
@@ -199,7 +199,7 @@ class Session:
         written = {
             "identify": self.folder,
             "view": self.folder / "view.html",
-            "export": self.folder / FORMATS[self.choices.export][2],
+            "export": self.folder / EXPORTS[self.choices.export][2],
         }.get(step)
         return [path for path in dict.fromkeys(paths) if path != written]
 
@@ -414,7 +414,7 @@ class Session:
                 "offered": self.offered,
                 "folder": str(self.folder),
                 "robots": robot_names(),
-                "formats": {name: about[0] for name, about in FORMATS.items()},
+                "formats": {name: about[0] for name, about in EXPORTS.items()},
                 "switchable": [TILT, *available_terms()],
                 "options": {line: list_field_options(line) for line in LINES},
                 "flags": [

@@ -15,8 +15,8 @@ from asbuilt.cli import (
     Out,
     answer,
     list_files,
+    out_folder,
     require_known_value,
-    require_writable_folder,
     show_progress,
 )
 from asbuilt.registry import find_app_modules
@@ -50,16 +50,7 @@ def demo(
         typer.Argument(metavar="[WHICH]", help="arm (the whole story of one) or fleet"),
     ] = "arm",
     *,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="folder for the files to write",
-            callback=require_writable_folder,
-        ),
-    ] = Path("asbuilt-demo"),
+    out: Annotated[Path, out_folder()] = Path("asbuilt-demo"),
     as_json: AsJson = False,
 ) -> None:
     """Run a complete example on bundled data.

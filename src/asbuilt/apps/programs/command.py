@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
 from asbuilt.apps import programs as app
 from asbuilt.cli import (
     AsJson,
@@ -14,8 +15,7 @@ from asbuilt.cli import (
     Robot,
     answer,
     list_files,
-    load_described_robot,
-    require_writable_folder,
+    out_folder,
 )
 
 
@@ -57,21 +57,12 @@ def program(
             help="state the smallest distance and refuse collisions, as for excite",
         ),
     ] = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="folder for the files to write",
-            callback=require_writable_folder,
-        ),
-    ] = Path("program"),
+    out: Annotated[Path, out_folder()] = Path("program"),
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a program that makes a real controller run a motion and record it."""
-    model = load_described_robot(robot)
+    model = asbuilt.load_robot(robot)
     title = name or motion.stem
 
     request = app.program_request(model, motion, form, name=title, rate=rate, collision=collision)

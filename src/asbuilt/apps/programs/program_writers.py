@@ -61,7 +61,7 @@ def program_request(
     collision: str | None = None,
 ) -> ProgramRequest:
     """Return the checked request for a program; parameters and errors of `make_program`."""
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     chosen = program_format(form, model)
     moved = motion if isinstance(motion, Motion) else read_motion(motion, model)
     clearance = None if collision is None else measure_clearance(model, moved, collision)

@@ -17,12 +17,11 @@ from asbuilt.cli import (
     AsJson,
     Robot,
     describe_cure,
-    load_described_robot,
+    out_folder,
     print_text,
     show_progress,
     summarise_files,
 )
-from asbuilt.cli import require_writable_folder as require_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,16 +85,7 @@ def run(
             "--resume", metavar="DIR", help="continue the loop of this folder, as it was set"
         ),
     ] = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="folder for motions, logs and the result",
-            callback=require_folder,
-        ),
-    ] = FOLDER,
+    out: Annotated[Path, out_folder("folder for motions, logs and the result")] = FOLDER,
     as_json: AsJson = False,
 ) -> None:
     """Move a robot in rounds until its model is proven.
@@ -106,7 +96,7 @@ def run(
     from asbuilt.apps.run.drivers import DriverRequest, moves_metal, open_driver
     from asbuilt.apps.run.loop import Loop
 
-    model = load_described_robot(robot)
+    model = asbuilt.load_robot(robot)
     settings = _read_settings(model.name, options, on, motion, program, resume, out)
     options = RunOptions(**settings["options"])
     folder = resume or out

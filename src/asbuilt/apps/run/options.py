@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
-from asbuilt.ranges import Range, check_ranges
+from asbuilt.ranges import Range, check_ranges, option
 
 Purpose = Literal["torque", "simulator", "payload"]
 PURPOSES: tuple[Purpose, ...] = ("torque", "simulator", "payload")
-
-
-def _option(default: Any, metavar: str, help: str, **further: Any) -> Any:
-    return field(default=default, metadata={"metavar": metavar, "help": help} | further)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,38 +42,38 @@ class RunOptions:
         If a value is out of range.
     """
 
-    purpose: Purpose = _option(
+    purpose: Purpose = option(
         "torque",
         "PURPOSE",
         "what the model is for: torque, simulator or payload",
         choices=PURPOSES,
     )
-    until: float = _option(
+    until: float = option(
         5.0,
         "PERCENT",
         "wanted error of the torque; for a simulator, of the simulated motion",
         range=Range(1e-6, 1e3, "%"),
     )
-    rounds: int = _option(8, "N", "most rounds", range=Range(2, 1000))
-    seconds: float = _option(10.0, "S", "motion of a round", range=Range(2.0, 600.0, "s"))
-    speed: float = _option(
+    rounds: int = option(8, "N", "most rounds", range=Range(2, 1000))
+    seconds: float = option(10.0, "S", "motion of a round", range=Range(2.0, 600.0, "s"))
+    speed: float = option(
         0.3,
         "SHARE",
         "share of the limits that the first round uses, in range and speed",
         range=Range(0.01, 1.0),
     )
-    fraction: float = _option(
+    fraction: float = option(
         0.95, "SHARE", "usable share of the limits of motion", range=Range(0.01, 1.0)
     )
-    collision: str | None = _option(
+    collision: str | None = option(
         None,
         "SOURCE",
         "keep bodies apart: skeleton[:RADIUS], a .urdf with geometry, or a .toml file",
     )
-    drive: str | None = _option(
+    drive: str | None = option(
         None, "LIST", "drive terms to identify (default: those usual for the torque source)"
     )
-    seed: int = _option(0, "N", "seed of everything random", range=Range(0, 1e18))
+    seed: int = option(0, "N", "seed of everything random", range=Range(0, 1e18))
 
     def __post_init__(self) -> None:
         check_ranges(self)

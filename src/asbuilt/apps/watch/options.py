@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from asbuilt.ranges import Range, check_ranges
+from asbuilt.ranges import Range, check_ranges, option, switch
 
 Watched = Literal["as_built", "cad"]
 
@@ -28,40 +28,25 @@ class WatchOptions:
         Refuse recordings in which `check_recording` finds errors.
     """
 
-    false_alarms_per_hour: float = field(
-        default=1.0,
-        metadata={
-            "metavar": "RATE",
-            "help": "false alarms per hour, all joints together, that thresholds are set for",
-            "range": Range(1e-6, 3600.0, "1/h"),
-        },
+    false_alarms_per_hour: float = option(
+        1.0,
+        "RATE",
+        "false alarms per hour, all joints together, that thresholds are set for",
+        range=Range(1e-6, 3600.0, "1/h"),
     )
-    bandwidth: float = field(
-        default=8.0,
-        metadata={
-            "metavar": "HZ",
-            "help": "bandwidth of the momentum observer",
-            "range": Range(1e-3, 1e4, "Hz"),
-        },
+    bandwidth: float = option(
+        8.0, "HZ", "bandwidth of the momentum observer", range=Range(1e-3, 1e4, "Hz")
     )
-    model: Watched = field(
-        default="as_built",
-        metadata={
-            "metavar": "WHICH",
-            "help": "model of the observer: as-built or cad",
-            "choices": {"as-built": "as_built", "cad": "cad"},
-        },
+    model: Watched = option(
+        "as_built",
+        "WHICH",
+        "model of the observer: as-built or cad",
+        choices={"as-built": "as_built", "cad": "cad"},
     )
-    frame: str | None = field(
-        default=None,
-        metadata={
-            "metavar": "NAME",
-            "help": "link or frame of the tool, where forces are given (default: the flange)",
-        },
+    frame: str | None = option(
+        None, "NAME", "link or frame of the tool, where forces are given (default: the flange)"
     )
-    checked: bool = field(
-        default=True, metadata={"help": "use the recordings whatever their checks find"}
-    )
+    checked: bool = switch(True, "use the recordings whatever their checks find")
 
     def __post_init__(self) -> None:
         check_ranges(self)

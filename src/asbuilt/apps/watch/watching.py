@@ -222,7 +222,7 @@ def watch(
     """
     options = options or WatchOptions()
     report = progress or (lambda what, fraction: None)
-    result = result.result if isinstance(result, Study) else result
+    result = result.result
     refuse_free_base(
         result.robot,
         result.model.n_floating,

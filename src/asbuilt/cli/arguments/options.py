@@ -6,19 +6,19 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 import asbuilt
 from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.description.load import BaseOptions
-from asbuilt.ranges import Range, make_range_error
+from asbuilt.description.load import HELD_BASE, BaseOptions
+from asbuilt.ranges import Range, make_range_error, option
 from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
@@ -31,18 +31,6 @@ DELAYS = Range(-10.0, 10.0, "s")
 """Delays of a torque; the search of one looks no further than a part of a second."""
 
 
-@contextmanager
-def share_workers(processes: int | None, scheduler: str | None) -> Iterator[Workers | None]:
-    """Yield the workers of `--workers` or `--scheduler`, None without either."""
-    if processes is None and scheduler is None:
-        yield None
-        return
-    refuse_both(processes, scheduler)
-
-    with asbuilt.open_workers(processes, scheduler) as workers:
-        yield workers
-
-
 def refuse_both(processes: int | None, scheduler: str | None) -> None:
     """Raise `UsageError` if `--workers` and `--scheduler` are both given."""
     if processes is not None and scheduler is not None:
@@ -51,9 +39,33 @@ def refuse_both(processes: int | None, scheduler: str | None) -> None:
         )
 
 
-def refuse_sharing(why: str, processes: int | None, scheduler: str | None) -> None:
-    """Raise `UsageError`, saying why, if work that one process does is to be shared."""
-    refuse_idle(why, {"--workers": processes is not None, "--scheduler": scheduler is not None})
+@dataclass(frozen=True)
+class Sharing:
+    """The options that share work among processes."""
+
+    workers: int | None = option(
+        None,
+        "N",
+        "processes that share the work (default: this one)",
+        typer={"min": 1, "max": 1024},
+    )
+    scheduler: str | None = option(
+        None, "ADDRESS", "Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786"
+    )
+
+    @contextmanager
+    def open(self) -> Iterator[Workers | None]:
+        """Yield the workers that are asked for, None without any."""
+        if self.workers is None and self.scheduler is None:
+            yield None
+            return
+        refuse_both(self.workers, self.scheduler)
+        with asbuilt.open_workers(self.workers, self.scheduler) as workers:
+            yield workers
+
+    def refuse(self, why: str) -> None:
+        """Raise `UsageError`, saying why, if work that one process does is to be shared."""
+        refuse_idle(why, find_given_options(self))
 
 
 def require_writable_folder(folder: Path | None) -> Path | None:
@@ -109,7 +121,7 @@ Logs = Annotated[
 ]
 RESULT_HELP = "a result.json that `asbuilt identify --out` wrote, or its folder"
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help=RESULT_HELP)]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="seed of everything random")]
 AsJson = Annotated[
     bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
 ]
@@ -123,20 +135,22 @@ Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="open the 
 Full = Annotated[bool, typer.Option("--full", help="print all rows and notes whatever their width")]
 FixedBase = Annotated[
     bool,
-    typer.Option(
-        "--fixed-base", help="hold a free joint of the robot at its pose (a robot hung in the air)"
-    ),
+    typer.Option("--fixed-base", help=HELD_BASE),
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="DIR",
-        help="folder for the files to write",
-        callback=require_writable_folder,
-    ),
-]
+OUT = ("--out", "-o")
+
+
+def out_folder(text: str = "folder for the files to write") -> Any:
+    """Return the option that names the folder of the files of a command."""
+    return typer.Option(*OUT, metavar="DIR", help=text, callback=require_writable_folder)
+
+
+def written_file(*names: str, metavar: str = "FILE", text: str) -> Any:
+    """Return the option that names a file to write, `--out` without another name."""
+    return typer.Option(*(names or OUT), metavar=metavar, help=text, callback=require_writable_file)
+
+
+Out = Annotated[Path | None, out_folder()]
 Judges = Annotated[
     list[Path] | None,
     typer.Option(
@@ -147,24 +161,6 @@ Judges = Annotated[
 ]
 Unchecked = Annotated[
     bool, typer.Option("--unchecked", help="use the recordings whatever their checks find")
-]
-Processes = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        min=1,
-        max=1024,
-        help="processes that share the work (default: this one)",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786",
-    ),
 ]
 Carrier = Annotated[
     str | None,
@@ -191,41 +187,27 @@ Drive = Annotated[
 class Filtering:
     """The options that choose the signal chain."""
 
-    cutoff: str | None = field(
-        default=None,
-        metadata={
-            "help": "low-pass cutoff, chosen from the recording by default; identify also takes"
-            " auto: chosen by held-out torque",
-            "metavar": "HZ",
-        },
+    cutoff: str | None = option(
+        None,
+        "HZ",
+        "low-pass cutoff, chosen from the recording by default; identify also takes"
+        " auto: chosen by held-out torque",
     )
-    decimate: int | None = field(
-        default=None,
-        metadata={
-            "help": "keep every Nth sample after filtering",
-            "metavar": "N",
-            "typer": {"min": 1, "max": 100_000},
-        },
+    decimate: int | None = option(
+        None, "N", "keep every Nth sample after filtering", typer={"min": 1, "max": 100_000}
     )
-    max_gap: float | None = field(
-        default=None,
-        metadata={
-            "help": "longest pause that is bridged (default: what the low-pass does not resolve)",
-            "metavar": "SECONDS",
-        },
+    max_gap: float | None = option(
+        None,
+        "SECONDS",
+        "longest pause that is bridged (default: what the low-pass does not resolve)",
     )
-    delay: str | None = field(
-        default=None,
-        metadata={
-            "help": "time by which torque is late against position, one number or one per joint;"
-            " auto (the default): estimated; none",
-            "metavar": "SECONDS",
-        },
+    delay: str | None = option(
+        None,
+        "SECONDS",
+        "time by which torque is late against position, one number or one per joint;"
+        " auto (the default): estimated; none",
     )
-    preset: str = field(
-        default="default",
-        metadata={"help": "signal chain: default or paper2015 ", "metavar": "NAME"},
-    )
+    preset: str = option("default", "NAME", "signal chain: default or paper2015 ")
 
     @property
     def given(self) -> dict[str, bool]:
@@ -272,6 +254,10 @@ def load_described_robot(
     return (base or BaseOptions(fixed_base=fixed_base)).load_robot(robot)
 
 
+AS_IDENTIFIED = "the robot of a result is taken as it was identified"
+"""Why options that change a robot as described do not go with a result."""
+
+
 def is_result(path: str) -> bool:
     """Return whether a path is of a stored result, or of the folder of one, and no description."""
     return Path(path).suffix.lower() == ".json" or (Path(path) / "result.json").is_file()
@@ -280,9 +266,8 @@ def is_result(path: str) -> bool:
 def load_robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
     if not is_result(robot):
-        return load_described_robot(robot, fixed_base=fixed_base)
-    refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
-
+        return asbuilt.load_robot(robot, fixed_base=fixed_base)
+    refuse_idle(AS_IDENTIFIED, {"--fixed-base": fixed_base})
     return writers.as_built(asbuilt.read_result(Path(robot))).model
 
 
@@ -343,7 +328,7 @@ def read_recordings_of_robot(
 ) -> list[asbuilt.Recording | RecordingStream]:
     """Return the recordings of an identified robot, none if no logs are given."""
     refuse_idle(
-        "the robot of a result is taken as it was identified",
+        AS_IDENTIFIED,
         {
             "--lock": reading.lock is not None,
             "--gravity": reading.gravity is not None,
@@ -400,21 +385,17 @@ def parse_positive_number(option: str, text: str) -> float:
 class TimelineFiles:
     """The files in which a viewer shows measured and predicted torques over time."""
 
-    mcap: Path | None = field(
-        default=None,
-        metadata={
-            "help": "measured and predicted torques and events, for Foxglove and PlotJuggler",
-            "metavar": "FILE",
-            "typer": {"callback": require_writable_file, "autocompletion": None},
-        },
+    mcap: Path | None = option(
+        None,
+        "FILE",
+        "measured and predicted torques and events, for Foxglove and PlotJuggler",
+        typer={"callback": require_writable_file, "autocompletion": None},
     )
-    rrd: Path | None = field(
-        default=None,
-        metadata={
-            "help": "the same with the moving robot, for rerun",
-            "metavar": "FILE",
-            "typer": {"callback": require_writable_file, "autocompletion": None},
-        },
+    rrd: Path | None = option(
+        None,
+        "FILE",
+        "the same with the moving robot, for rerun",
+        typer={"callback": require_writable_file, "autocompletion": None},
     )
 
     def write(self, timelines: Callable[[], Sequence[writers.Timeline]]) -> dict[str, Path]:

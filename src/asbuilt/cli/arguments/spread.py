@@ -6,7 +6,7 @@ import functools
 import inspect
 import types
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -14,7 +14,7 @@ import typer
 
 import asbuilt
 from asbuilt.errors import AsbuiltError, UsageError
-from asbuilt.ranges import Range, make_range_error
+from asbuilt.ranges import Range, check_choice, make_range_error, option, switch
 
 SPELLING = {
     "size": "--harmonics",
@@ -56,30 +56,13 @@ def print_version(wanted: bool) -> None:
 class Common:
     """The options of every command; `OF_ROBOTS` of those that read a robot."""
 
-    quiet: bool = field(
-        default=False, metadata={"help": "print errors and JSON only", "also": ("-q",)}
+    quiet: bool = switch(False, "print errors and JSON only", also=("-q",))
+    verbose: bool = switch(False, "print each step and its time on stderr", also=("-v",))
+    version: bool = switch(
+        False, "print the version and exit", typer={"is_eager": True, "callback": print_version}
     )
-    verbose: bool = field(
-        default=False,
-        metadata={"help": "print each step and its time on stderr", "also": ("-v",)},
-    )
-    version: bool = field(
-        default=False,
-        metadata={
-            "help": "print the version and exit",
-            "typer": {"is_eager": True, "callback": print_version},
-        },
-    )
-    trust_xacro: bool = field(
-        default=False, metadata={"help": "let a .xacro file run any Python that it holds"}
-    )
-    xacro: str | None = field(
-        default=None,
-        metadata={
-            "help": "arguments of a .xacro file",
-            "metavar": "NAME=VALUE,...",
-        },
-    )
+    trust_xacro: bool = switch(False, "let a .xacro file run any Python that it holds")
+    xacro: str | None = option(None, "NAME=VALUE,...", "arguments of a .xacro file")
 
     @property
     def xacro_arguments(self) -> dict[str, str]:
@@ -180,7 +163,8 @@ def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> insp
         **{"autocompletion": None if flag else _make_completion(metadata)}
         | metadata.get("typer", {}),
     )
-    kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
+    as_given = plain in (int, float, Path) or get_origin(plain) is list
+    kind: Any = plain if as_given and "parse" not in metadata else str
     return _make_keyword(
         field.name, Annotated[bool if flag else kind | None, option], False if flag else None
     )
@@ -237,13 +221,7 @@ def require_known_value(option: str, value: str, known: Any) -> Any:
 
     Raises `UsageError` otherwise.
     """
-    if value not in known:
-        raise UsageError(
-            f"{option} {value!r} is not one of {', '.join(known)}",
-            option=option,
-            value=value,
-            available=[*known],
-        )
+    check_choice(option, value, known, option=option)
     return known[value] if isinstance(known, Mapping) else value
 
 

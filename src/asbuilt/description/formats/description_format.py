@@ -42,7 +42,7 @@ class DescriptionFormat:
     read_on_base: Callable[[Path, BaseKind], RobotModel] | None = None
 
 
-FORMATS: Registry[DescriptionFormat] = Registry(
+DESCRIPTION_FORMATS: Registry[DescriptionFormat] = Registry(
     "description format", "asbuilt.description.formats", "asbuilt.description_formats"
 )
 """All formats; other distributions add theirs by an entry point of group
@@ -52,16 +52,20 @@ FORMATS: Registry[DescriptionFormat] = Registry(
 
 def list_suffixes() -> tuple[str, ...]:
     """Return the suffixes of all formats, sorted."""
-    return tuple(sorted({suffix for each in FORMATS.values() for suffix in each.suffixes}))
+    return tuple(
+        sorted({suffix for each in DESCRIPTION_FORMATS.values() for suffix in each.suffixes})
+    )
 
 
 def format_of(path: Path, content: bytes) -> DescriptionFormat | None:
     """Return the format of a file, by its suffix if that decides, else by content."""
-    by_suffix = [each for each in FORMATS.values() if path.suffix.lower() in each.suffixes]
+    by_suffix = [
+        each for each in DESCRIPTION_FORMATS.values() if path.suffix.lower() in each.suffixes
+    ]
     certain = [each for each in by_suffix if each.recognises is None]
     by_content = (
         each
-        for each in FORMATS.values()
+        for each in DESCRIPTION_FORMATS.values()
         if each.recognises is not None and each.recognises(content)
     )
     return certain[0] if certain else next(by_content, None)

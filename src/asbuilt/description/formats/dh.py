@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import parse_finite_number, read_rows
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import NO_SYMBOLS, add_symbols, drop_empty_symbols, rotate_symbols
 from asbuilt.description.model import (
@@ -298,4 +298,4 @@ def _read_row(place: str, cells: dict[str, str]) -> DHRow:
     )
 
 
-FORMATS.register("dh_table", DescriptionFormat("DH table", (".csv",), read_dh_table))
+DESCRIPTION_FORMATS.register("dh_table", DescriptionFormat("DH table", (".csv",), read_dh_table))

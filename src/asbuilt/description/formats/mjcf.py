@@ -23,7 +23,7 @@ from asbuilt.description.formats.compiled_mjcf import (
     insert_includes,
     with_passive_joints,
 )
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     described_text,
     find_outermost_tag,
@@ -508,7 +508,7 @@ class _Tree:
                 )
 
 
-FORMATS.register(
+DESCRIPTION_FORMATS.register(
     "mjcf",
     DescriptionFormat(
         "MJCF",

@@ -8,9 +8,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_numbers
 from asbuilt.description.appearance import Solid, link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Loop, RobotModel
@@ -65,7 +65,7 @@ def format_mjcf(model: RobotModel, *, actuators: bool = True, shapes: bool = Tru
         balanceinertia="false",
     )
     SubElement(
-        root, "option", gravity=_format_numbers(model.gravity), integrator="RK4", timestep="0.001"
+        root, "option", gravity=format_numbers(model.gravity), integrator="RK4", timestep="0.001"
     )
     if shapes:
         _add_scene(root, stretched_length(model))
@@ -88,7 +88,7 @@ def format_mjcf(model: RobotModel, *, actuators: bool = True, shapes: bool = Tru
         motors = SubElement(root, "actuator")
         for joint in model.joints:
             torque = joint.limits.torque
-            limit = {"ctrlrange": _format_numbers([-torque, torque])} if np.isfinite(torque) else {}
+            limit = {"ctrlrange": format_numbers([-torque, torque])} if np.isfinite(torque) else {}
             SubElement(motors, "motor", {"name": joint.name, "joint": joint.name, **limit})
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
@@ -121,10 +121,10 @@ def _add_equalities(root: Element, model: RobotModel, at: Array) -> None:
             tendon = SubElement(tendons, "fixed", name=name)
             terms = {joint.name: 1.0} | {k: -f for k, f in factors.items()}
             for other, factor in terms.items():
-                SubElement(tendon, "joint", joint=other, coef=_format_numbers([factor]))
+                SubElement(tendon, "joint", joint=other, coef=format_numbers([factor]))
             offset -= sum(factor * rest[k] for k, factor in terms.items())
             follows = [offset, 0.0, 0.0, 0.0, 0.0]
-            SubElement(equality, "tendon", tendon1=name, polycoef=_format_numbers(follows))
+            SubElement(equality, "tendon", tendon1=name, polycoef=format_numbers(follows))
     for loop in model.loops:
         _add_loop(equality, model, loop, rest)
     root.extend(each for each in (tendons, equality) if len(each))
@@ -149,11 +149,11 @@ def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]
             tendon = Element(
                 "spatial",
                 name=name,
-                stiffness=_format_numbers([rate]),
-                springlength=_format_numbers([free]),
+                stiffness=format_numbers([rate]),
+                springlength=format_numbers([free]),
             )
             for side, body, point in zip("ab", (joint.parent, k), ends, strict=True):
-                site = {"name": f"{name} {side}", "pos": _format_numbers(point), "size": "0.005"}
+                site = {"name": f"{name} {side}", "pos": format_numbers(point), "size": "0.005"}
                 SubElement(bodies[body], "site", site)
                 SubElement(tendon, "site", site=site["name"])
             tendons.append(tendon)
@@ -198,7 +198,7 @@ def _add_polynomial(
     terms[: len(moved.coef)] = moved.coef
     terms[0] -= rest[joints[0]]
     names = {f"joint{k + 1}": name for k, name in enumerate(joints)}
-    SubElement(equality, "joint", {**names, "polycoef": _format_numbers(terms)})
+    SubElement(equality, "joint", {**names, "polycoef": format_numbers(terms)})
 
 
 def _add_loop(equality: Element, model: RobotModel, loop: Loop, rest: Mapping[str, float]) -> None:
@@ -217,7 +217,7 @@ def _add_loop(equality: Element, model: RobotModel, loop: Loop, rest: Mapping[st
         links["body2"] = model.links[other].name
     if loop.kind == "weld":
         anchor = point
-    SubElement(equality, loop.kind, {**name, **links, "anchor": _format_numbers(anchor)})
+    SubElement(equality, loop.kind, {**name, **links, "anchor": format_numbers(anchor)})
 
 
 def _add_body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
@@ -226,7 +226,7 @@ def _add_body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
     pose = joint.before @ joint.moved(at) @ joint.after if at else joint.before @ joint.after
     body = SubElement(parent, "body", {"name": link.name, **_describe_pose(pose)})
     _add_inertial(body, link.inertia, f"{model.name}: link {link.name!r}")
-    rest = {"ref": _format_numbers([at])} if at else {}
+    rest = {"ref": format_numbers([at])} if at else {}
     SubElement(body, "joint", {"name": joint.name, **_describe_joint(joint), **rest})
     return body
 
@@ -236,8 +236,8 @@ def _describe_joint(joint: Joint) -> dict[str, str]:
     p = joint.after[:3, 3]
     fields = {
         "type": "hinge" if joint.is_revolute else "slide",
-        "axis": _format_numbers(R[2]),
-        "pos": _format_numbers(-R.T @ p),
+        "axis": format_numbers(R[2]),
+        "pos": format_numbers(-R.T @ p),
     }
     limits = joint.limits
     drive = joint.drive
@@ -247,20 +247,20 @@ def _describe_joint(joint: Joint) -> dict[str, str]:
         and np.isfinite(limits.upper)
         and limits.lower < limits.upper
     ):
-        fields["range"] = _format_numbers([limits.lower, limits.upper])
+        fields["range"] = format_numbers([limits.lower, limits.upper])
     if np.isfinite(limits.torque):
-        fields["actuatorfrcrange"] = _format_numbers([-limits.torque, limits.torque])
+        fields["actuatorfrcrange"] = format_numbers([-limits.torque, limits.torque])
     for name, value in (
         ("armature", drive.armature),
         ("damping", drive.viscous),
         ("frictionloss", drive.coulomb),
     ):
         if value is not None and value != 0.0:
-            fields[name] = _format_numbers([value])
+            fields[name] = format_numbers([value])
     if stiffness := (spring := drive.terms.get("spring", {})).get("Ks"):
         fields.update(
-            stiffness=_format_numbers([stiffness]),
-            springref=_format_numbers([spring.get("rest", 0.0)]),
+            stiffness=format_numbers([stiffness]),
+            springref=format_numbers([spring.get("rest", 0.0)]),
         )
     return fields
 
@@ -277,22 +277,20 @@ def _add_inertial(body: Element, inertia: LinkInertia, what: str) -> None:
             "inertial",
             pos="0 0 0",
             mass=repr(FEATHER),
-            diaginertia=_format_numbers([FEATHER] * 3),
+            diaginertia=format_numbers([FEATHER] * 3),
         )
         return
-    moments, axes = np.linalg.eigh(inertia.inertia_about_com)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0
+    moments, axes = inertia.principal_axes
     moments = np.maximum(moments, FEATHER)
     moments[0] = max(moments[0], moments[2] - moments[1])
     pose = {
-        "pos": _format_numbers(inertia.com),
-        "quat": _format_numbers(quaternion_from_rotation(axes)),
+        "pos": format_numbers(inertia.com),
+        "quat": format_numbers(quaternion_from_rotation(axes)),
     }
     SubElement(
         body,
         "inertial",
-        {**pose, "mass": repr(inertia.mass), "diaginertia": _format_numbers(moments)},
+        {**pose, "mass": repr(inertia.mass), "diaginertia": format_numbers(moments)},
     )
 
 
@@ -301,21 +299,21 @@ def _add_scene(root: Element, reach: float) -> None:
     SubElement(
         root,
         "statistic",
-        extent=_format_numbers([reach]),
-        center=_format_numbers([0.0, 0.0, 0.4 * reach]),
+        extent=format_numbers([reach]),
+        center=format_numbers([0.0, 0.0, 0.4 * reach]),
     )
 
 
 def _add_geom(body: Element, solid: Solid) -> None:
     rod = solid.kind == "rod"
-    ends = _format_numbers([*solid.start, *solid.stop])
+    ends = format_numbers([*solid.start, *solid.stop])
     SubElement(
         body,
         "geom",
         {
             "type": "capsule" if rod else "cylinder",
             "fromto": ends,
-            "size": _format_numbers([solid.radius]),
+            "size": format_numbers([solid.radius]),
             "rgba": PALETTE[rod],
         },
         contype="0",
@@ -326,11 +324,7 @@ def _add_geom(body: Element, solid: Solid) -> None:
 
 
 def _describe_pose(placement: Array) -> dict[str, str]:
-    fields = {"pos": _format_numbers(placement[:3, 3])}
+    fields = {"pos": format_numbers(placement[:3, 3])}
     if not np.array_equal(placement[:3, :3], np.eye(3)):
-        fields["quat"] = _format_numbers(quaternion_from_rotation(placement[:3, :3]))
+        fields["quat"] = format_numbers(quaternion_from_rotation(placement[:3, :3]))
     return fields
-
-
-def _format_numbers(values: ArrayLike) -> str:
-    return " ".join(repr(float(value) + 0.0) for value in np.ravel(values))

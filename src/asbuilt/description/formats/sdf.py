@@ -17,8 +17,9 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_numbers
 from asbuilt.description.finite import parse_finite_number
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import (
     close_match,
@@ -374,7 +375,7 @@ def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> 
 def _add_axis(
     written: Element, axis: Element, kind: str, frames: _Frames, name: str, place: str
 ) -> None:
-    SubElement(written, "axis", xyz=_format_spaced(_read_direction(axis, frames, name, place)))
+    SubElement(written, "axis", xyz=format_numbers(_read_direction(axis, frames, name, place)))
     limit = axis.find("limit")
     bounds = {}
     for key in ("lower", "upper", "effort", "velocity"):
@@ -462,11 +463,7 @@ def _connect(
 
 def _add_origin(element: Element, pose: Array) -> None:
     rpy = rpy_from_rotation(pose[:3, :3])
-    SubElement(element, "origin", xyz=_format_spaced(pose[:3, 3]), rpy=_format_spaced(rpy))
-
-
-def _format_spaced(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    SubElement(element, "origin", xyz=format_numbers(pose[:3, 3]), rpy=format_numbers(rpy))
 
 
 def _read_pose(element: Element, place: str) -> Array:
@@ -492,7 +489,7 @@ def _read_text(element: Element, tag: str, place: str, default: str | None = Non
     return text
 
 
-FORMATS.register(
+DESCRIPTION_FORMATS.register(
     "sdf",
     DescriptionFormat(
         "SDF",

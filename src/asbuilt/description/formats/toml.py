@@ -14,7 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat, format_of
+from asbuilt.description.formats.description_format import (
+    DESCRIPTION_FORMATS,
+    DescriptionFormat,
+    format_of,
+)
 from asbuilt.description.formats.dh import DHRow, build_dh_joint, dh_lengths, place_joint_on_origin
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
@@ -452,4 +456,4 @@ def _make_link(link: LinkTable) -> Link:
     )
 
 
-FORMATS.register("toml", DescriptionFormat("TOML", (".toml",), read_robot_toml))
+DESCRIPTION_FORMATS.register("toml", DescriptionFormat("TOML", (".toml",), read_robot_toml))

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import parse_finite_number
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     close_match,
     described_text,
@@ -501,7 +501,7 @@ def _read_motor_value(transmission: Element, names: tuple[str, ...], place: str)
     return None
 
 
-FORMATS.register(
+DESCRIPTION_FORMATS.register(
     "urdf",
     DescriptionFormat(
         "URDF",

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from asbuilt.children import STILL, communicate_moving
-from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat
+from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.expansion import SECONDS
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
@@ -107,4 +107,4 @@ def _find_missing_argument(message: str) -> str:
     return found[1] if of_argument else ""
 
 
-FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))
+DESCRIPTION_FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))

@@ -192,6 +192,16 @@ class Joint:
         """Whether the joint turns (also without end) rather than slides."""
         return self.kind != "prismatic"
 
+    @property
+    def unit(self) -> str:
+        """Unit of its position: rad or m."""
+        return "rad" if self.is_revolute else "m"
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of its torque, or force: N m or N."""
+        return "N m" if self.is_revolute else "N"
+
 
 def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
     """Return the links from the root to a link, itself included, by the joints that move them."""

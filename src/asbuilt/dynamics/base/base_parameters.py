@@ -90,8 +90,8 @@ class BaseParameters:
     columns + 1`; `regrouping` has shape (n_base, n_standard). `expressions` have numbers for
     lengths, `symbolic` has symbols where the description names lengths. `link_joints` has for each
     link the joint, counted from 0, whose drive moves it relative to its parent. `standard` has a
-    verdict on every standard parameter. Texts are derived when they are first read, by
-    `symbolic_rows` and `verdicts`: most drive sets of a study are tried and never shown.
+    status of every standard parameter. Texts are derived when they are first read, by
+    `symbolic_rows` and `classified`: most drive sets of a study are tried and never shown.
     """
 
     robot: str
@@ -102,7 +102,7 @@ class BaseParameters:
     regrouping: Array
     link_joints: tuple[int, ...]
     symbolic_rows: Callable[[], list[Row]]
-    verdicts: Callable[[], tuple[StandardParameter, ...]]
+    classified: Callable[[], tuple[StandardParameter, ...]]
 
     def __post_init__(self) -> None:
         self.columns.setflags(write=False)
@@ -136,8 +136,8 @@ class BaseParameters:
 
     @cached_property
     def standard(self) -> tuple[StandardParameter, ...]:
-        """The verdict on every standard parameter, in id order."""
-        return self.verdicts()
+        """The status of every standard parameter, in id order."""
+        return self.classified()
 
     def _write_sums(self, rows: Sequence[Row]) -> tuple[str, ...]:
         return tuple(
@@ -230,13 +230,13 @@ def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
     with use_one_blas_thread():
         if by_numbers:
             columns, matrix = regroup_numerically(model, drive)
-            verdicts = partial(classify_numerically, model, columns, matrix, names)
+            classified = partial(classify_numerically, model, columns, matrix, names)
             symbolic_rows = partial(_list_numbers, matrix)
         else:
             found = regroup_structurally(model, drive)
             columns = found.columns
             matrix = found.matrix
-            verdicts = partial(parameter_verdicts, model, drive, found, names)
+            classified = partial(parameter_verdicts, model, drive, found, names)
             symbolic_rows = partial(regroup_symbolically, model, drive, found)
         numeric = observation_rank(model, drive)
         if numeric.rank != len(columns):
@@ -250,7 +250,7 @@ def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
         regrouping=matrix,
         link_joints=model.link_joints,
         symbolic_rows=symbolic_rows,
-        verdicts=verdicts,
+        classified=classified,
     )
 
 

@@ -70,7 +70,7 @@ class _LinkView:
 def parameter_verdicts(
     model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]
 ) -> tuple[StandardParameter, ...]:
-    """Return the verdict on every standard parameter, in id order."""
+    """Return the status of every standard parameter, in id order."""
     views = [_view_link(found, i) for i in range(model.n_joints)]
 
     def reason(j: int, status: Status) -> str:
@@ -87,17 +87,17 @@ def parameter_verdicts(
             return _explain_alone(views[link], symbol)
         return _explain_no_effect(model, views[link], symbol)
 
-    return _make_verdicts(found.columns, found.matrix, names, reason)
+    return _classify_columns(found.columns, found.matrix, names, reason)
 
 
-def _make_verdicts(
+def _classify_columns(
     columns: Indices,
     matrix: Array,
     names: Sequence[str],
     reason: Callable[[int, Status], str],
 ) -> tuple[StandardParameter, ...]:
-    """Return a verdict for each column of a regrouping matrix; `reason` says why."""
-    verdicts = []
+    """Return the status of each column of a regrouping matrix; `reason` says why."""
+    classified = []
     for j, name in enumerate(names):
         rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
         alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
@@ -105,14 +105,14 @@ def _make_verdicts(
         shown = _name_sum(columns, matrix, names, j, rows) if status == "grouped" else ""
         sentence = f"{name}: {STATEMENTS[status]}: {reason(j, status)}{shown}"
         members = tuple(int(columns[b]) + 1 for b in rows)
-        verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
-    return tuple(verdicts)
+        classified.append(StandardParameter(j + 1, name, status, members, sentence))
+    return tuple(classified)
 
 
 def classify_numerically(
     model: RobotModel, columns: Indices, matrix: Array, names: Sequence[str]
 ) -> tuple[StandardParameter, ...]:
-    """Return the verdicts that follow from a regrouping matrix alone.
+    """Return the status of each standard parameter by a regrouping matrix alone.
 
     The structure of closed chains adds why: about which axes a link turns, and which loop joins it
     to links whose masses have the same effect.
@@ -136,7 +136,7 @@ def classify_numerically(
             return _explain_loop(model, link, together) or usual
         return usual
 
-    return _make_verdicts(columns, matrix, names, reason)
+    return _classify_columns(columns, matrix, names, reason)
 
 
 def _view_closed_chains(model: RobotModel) -> list[_LinkView]:

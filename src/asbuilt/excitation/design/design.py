@@ -398,7 +398,7 @@ def design_motion(
     >>> design.limits.is_respected, design.motion.duration
     (True, 4.0)
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     refuse_open_postures(model)
     model.require_root(
         "a motion on which it keeps its balance is not designed; squat, twist the trunk and lift"

@@ -3,25 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from asbuilt.errors import UsageError
-from asbuilt.ranges import Range, check_ranges
-
-
-def option(
-    default: Any,
-    metavar: str,
-    help: str,
-    *,
-    parse: Callable[[str], Any] | None = None,
-    range: Range | None = None,
-) -> Any:
-    """Return a field with its description, its range, and its parser if text is not enough."""
-    metadata = {"metavar": metavar, "help": help, "range": range}
-    return field(default=default, metadata=metadata | ({"parse": parse} if parse else {}))
+from asbuilt.ranges import Range, check_ranges, option
 
 
 def _parse_numbers(text: str) -> tuple[float, ...]:

@@ -313,6 +313,12 @@ def _evaluate_barrier(slacks: list[Array]) -> float:
     return sum(float(np.log(s).sum()) for s in slacks)
 
 
+def _find_way_to_zero(values: Array, step: Array) -> float:
+    """Return the part of a step that positive values can go and remain positive."""
+    falling = step < 0
+    return SOLVER_TO_BOUNDARY * float((-values[falling] / step[falling]).min(initial=np.inf))
+
+
 def _search_line(
     program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float
 ) -> tuple[_Point | None, float]:
@@ -323,10 +329,8 @@ def _search_line(
     for k, (basis, half) in enumerate(zip(program.bases, program.half, strict=True)):
         speed = basis @ direction / half
         for s, ds in ((point.slacks[2 * k], -speed), (point.slacks[2 * k + 1], speed)):
-            falling = ds < 0
-            if np.any(falling):
-                # As far as the linear constraints allow; curved ones are asked at each trial.
-                length = min(length, SOLVER_TO_BOUNDARY * float((-s[falling] / ds[falling]).min()))
+            # As far as the linear constraints allow; curved ones are asked at each trial.
+            length = min(length, _find_way_to_zero(s, ds))
     reference = -point.value - mu * _evaluate_barrier(point.slacks)
     fall = float(slope @ step)
     for _ in range(SOLVER_BACKTRACKS):
@@ -363,9 +367,7 @@ def _step_duals(
     moves = [mu / s - z - z / s * ds for z, s, ds in zip(duals, old.slacks, rates, strict=True)]
     length = 1.0
     for z, dz in zip(duals, moves, strict=True):
-        falling = dz < 0
-        if np.any(falling):
-            length = min(length, SOLVER_TO_BOUNDARY * float((-z[falling] / dz[falling]).min()))
+        length = min(length, _find_way_to_zero(z, dz))
     spread = SOLVER_SPREAD
     return [
         # Far from the path a multiplier would stiffen or slacken its constraint for good.

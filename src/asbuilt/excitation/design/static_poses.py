@@ -32,6 +32,7 @@ from asbuilt.excitation.state_constraint import (
     WeightLimit,
     smallest_distance,
 )
+from asbuilt.scaled import Scaled
 
 MOST_POSES = 1_000
 """Most static poses; each is held for seconds."""
@@ -124,7 +125,7 @@ def design_static_poses(
     >>> design_static_poses("two-link", 3).n_parameters
     2
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     asked = options or DesignOptions()
     constraints = (
         *build_constraints(
@@ -175,7 +176,6 @@ def design_static_poses(
     poses = _refine_poses(information, kept, bounds, [*constraints, *weight], barriers, poses)
     poses, motion, turns = plan_route(poses, roadmap, bounds, barriers, loads, dwell)
     total = _sum_information(information, kept, poses)
-    size = 1.0 / np.sqrt(np.diag(total))
     limited, _ = complete_limits(model)
     states = motion.at(motion.sample_times(CHECK_RATE))
     return StaticDesign(
@@ -185,7 +185,7 @@ def design_static_poses(
         n_parameters=p,
         log_det=DOptimality().value(total),
         condition_number=float(np.sqrt(np.linalg.cond(total))),
-        scaled_condition_number=float(np.sqrt(np.linalg.cond(total * np.outer(size, size)))),
+        scaled_condition_number=float(np.sqrt(Scaled(total).condition)),
         # Ends are rests of the whole motion, not of the route.
         route_time=motion.duration - dwell * (count - 2),
         limits=check_motion(limited, motion),

@@ -40,9 +40,8 @@ from asbuilt.findings import Cure, Finding, join_names, undesigned
 #
 # Another reading must leave less than `FREE_BASE_SHARE` of the squared disagreement. Contact flags
 # are shifted by up to `FREE_BASE_LONGEST_SHIFT` [s], and named from `FREE_BASE_SHIFT` [s]. A
-# contact that is closed slips above `FREE_BASE_SLIP` [m/s]; one that is open touches where it
-# stands within `FREE_BASE_HEIGHT` [m] of where it stands when closed. `FREE_BASE_GRAVITY` [m/s^2]
-# is the least mean by which accelerations that hold gravity differ from the rates of the velocity.
+# contact that is closed slips above `FREE_BASE_SLIP` [m/s]. `FREE_BASE_GRAVITY` [m/s^2] is the
+# least mean by which accelerations that hold gravity differ from the rates of the velocity.
 # Stated radii are off by more than a part `FREE_BASE_RADIUS` from those on which feet roll. At most
 # `FREE_BASE_SAMPLES` of a log are looked at, `FREE_BASE_POSTURES` of them for the equations that
 # contacts leave: some in a part `FREE_BASE_LEFT` of them.
@@ -52,7 +51,6 @@ FREE_BASE_LONGEST_SHIFT = 0.1
 FREE_BASE_SHIFT = 0.02
 FREE_BASE_SLIP = 0.3
 FREE_BASE_OFTEN = 0.1
-FREE_BASE_HEIGHT = 0.01
 FREE_BASE_GRAVITY = 5.0
 FREE_BASE_RADIUS = 0.3
 FREE_BASE_SAMPLES = 20_000
@@ -311,7 +309,7 @@ def _measure_mean_square(x: Array) -> float:
 
 def drop_base_joints(model: RobotModel, recording: Recording) -> Recording:
     """Return a recording of the joints that have a drive, as of a robot that is held."""
-    return replace(recording.reordered(model.standing.joint_names), undriven=(), contact=None)
+    return replace(recording.reordered(model.on_held_base.joint_names), undriven=(), contact=None)
 
 
 OF_HELD_BASE = (*COMPARED_TORQUES, "rank_deficient", "weak_excitation")
@@ -343,7 +341,7 @@ class FloatingRoot:
 
     def hold(self, recording: Recording) -> tuple[RobotModel, Recording]:
         """Return robot and recording with the base held."""
-        return self.model.standing, drop_base_joints(self.model, recording)
+        return self.model.on_held_base, drop_base_joints(self.model, recording)
 
     def add_findings(
         self, found: Sequence[Finding], recording: Recording, *, has_clock: bool

@@ -203,7 +203,7 @@ def read_recording(
     [[3.0], [6.0]]
     """
     chosen = merge_reading_options(options, settings)
-    model = model if model is None or isinstance(model, RobotModel) else load_robot(model)
+    model = None if model is None else load_robot(model)
     if is_columns(source):
         sheet, notes = find_sheet(None, chosen.sheet)
         table = tabulate_columns(source)
@@ -219,7 +219,7 @@ def read_recording(
         if len(paths) == 1 and not table.known:
             _refuse_lone_role_file(paths[0], table)
     sheet = chosen.with_windows(sheet)
-    layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
+    layout = find_table_layout(table, sheet, None if model is None else model.on_held_base, chosen)
     table = LogMender(layout, sheet.zero).mend(table)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.description.load import BaseOptions
+from asbuilt.description.load import CONTACTS, HELD_BASE, BaseOptions
 from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import GAINS, RANGES, RATES, RecordingSheet, SheetWindow
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
-from asbuilt.ranges import Range, check_ranges, make_range_error
+from asbuilt.ranges import Range, check_choice, check_ranges, make_range_error, option, switch
 from asbuilt.registry import divide_settings
 
 PathLike = str | Path
@@ -119,158 +119,105 @@ class ReadingOptions:
     (2.0,)
     """
 
-    rate: float | None = field(
-        default=None,
-        metadata={
-            "help": "sampling rate of a log without time stamps",
-            "metavar": "HZ",
-            "range": RATES,
-        },
+    rate: float | None = option(
+        None, "HZ", "sampling rate of a log without time stamps", range=RATES
     )
-    flip_torque: bool = field(
-        default=False, metadata={"help": "the log's torque has the opposite sign"}
+    flip_torque: bool = switch(False, "the log's torque has the opposite sign")
+    gain: ArrayLike | None = option(
+        None,
+        "G1,G2,...",
+        "torque per logged unit, one for all joints or one each; replaces the sheet's",
+        parse=_parse_numbers,
+        range=GAINS,
     )
-    gain: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "torque per logged unit, one for all joints or one each; replaces the sheet's",
-            "metavar": "G1,G2,...",
-            "parse": _parse_numbers,
-            "range": GAINS,
-        },
+    torque_source: TorqueSource | None = option(
+        None,
+        "KIND",
+        "where torques come from: sensor, motor, current or command (a servo)",
+        choices=TORQUE_SOURCES,
     )
-    torque_source: TorqueSource | None = field(
-        default=None,
-        metadata={
-            "help": "where torques come from: sensor, motor, current or command (a servo)",
-            "metavar": "KIND",
-            "choices": TORQUE_SOURCES,
-        },
+    sheet: PathLike | RecordingSheet | Mapping[str, Any] | None = option(
+        None, "FILE", "recording sheet (TOML) that describes the logs", parse=Path
     )
-    sheet: PathLike | RecordingSheet | Mapping[str, Any] | None = field(
-        default=None,
-        metadata={
-            "help": "recording sheet (TOML) that describes the logs",
-            "metavar": "FILE",
-            "parse": Path,
-        },
+    window: Sequence[tuple[float, float]] | str | None = option(
+        None,
+        "START:STOP,...",
+        "segments of the log to keep, in seconds after its first sample; an end left"
+        " out is that of the log",
+        parse=parse_windows,
     )
-    window: Sequence[tuple[float, float]] | str | None = field(
-        default=None,
-        metadata={
-            "help": "segments of the log to keep, in seconds after its first sample; an end left"
-            " out is that of the log",
-            "metavar": "START:STOP,...",
-            "parse": parse_windows,
-        },
+    lock: Mapping[str, float | None] | str | None = option(
+        None,
+        "JOINT[=VALUE],...",
+        "joints to hold still at a position [rad or m]: those that the log lacks,"
+        " by themselves at 0",
+        parse=str,
     )
-    lock: Mapping[str, float | None] | str | None = field(
-        default=None,
-        metadata={
-            "help": "joints to hold still at a position [rad or m]: those that the log lacks,"
-            " by themselves at 0",
-            "metavar": "JOINT[=VALUE],...",
-            "parse": str,
-        },
-    )
-    gravity: ArrayLike | str | None = field(
-        default=None,
-        metadata={
-            "help": "free fall in the root frame [m/s^2], or its axis such as -z; replaces the"
-            " robot's",
-            "metavar": "X,Y,Z",
-            "parse": str,
-            "range": Range(-1e3, 1e3, "m/s^2"),
-        },
+    gravity: ArrayLike | str | None = option(
+        None,
+        "X,Y,Z",
+        "free fall in the root frame [m/s^2], or its axis such as -z; replaces the robot's",
+        parse=str,
+        range=Range(-1e3, 1e3, "m/s^2"),
     )
 
-    kp: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "stiffness of the position servo [N m/rad], one or each; auto: identified",
-            "metavar": "K1,K2,...",
-            "parse": parse_servo_numbers,
-        },
+    kp: ArrayLike | None = option(
+        None,
+        "K1,K2,...",
+        "stiffness of the position servo [N m/rad], one or each; auto: identified",
+        parse=parse_servo_numbers,
     )
-    kd: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "damping of the position servo [N m s/rad], one or each; auto: identified with"
-            " viscous friction",
-            "metavar": "D1,D2,...",
-            "parse": parse_servo_numbers,
-        },
+    kd: ArrayLike | None = option(
+        None,
+        "D1,D2,...",
+        "damping of the position servo [N m s/rad], one or each; auto: identified with"
+        " viscous friction",
+        parse=parse_servo_numbers,
     )
-    torque_limit: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "largest torque of the position servo [N m], one or each",
-            "metavar": "T1,T2,...",
-            "parse": parse_servo_numbers,
-        },
+    torque_limit: ArrayLike | None = option(
+        None,
+        "T1,T2,...",
+        "largest torque of the position servo [N m], one or each",
+        parse=parse_servo_numbers,
     )
-    deadband: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "control error without torque [rad], one or each; auto (default): estimated"
-            " from the log",
-            "metavar": "E1,E2,...",
-            "parse": parse_servo_numbers,
-        },
+    deadband: ArrayLike | None = option(
+        None,
+        "E1,E2,...",
+        "control error without torque [rad], one or each; auto (default): estimated from the log",
+        parse=parse_servo_numbers,
     )
-    lead: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "derivative gain on the servo's control error over its stiffness [s], one or"
-            " each",
-            "metavar": "S1,S2,...",
-            "parse": parse_servo_numbers,
-        },
+    lead: ArrayLike | None = option(
+        None,
+        "S1,S2,...",
+        "derivative gain on the servo's control error over its stiffness [s], one or each",
+        parse=parse_servo_numbers,
     )
-    no_load_speed: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "speed at which the servo's torque limit has fallen to zero [rad/s], one or"
-            " each",
-            "metavar": "W1,W2,...",
-            "parse": parse_servo_numbers,
-        },
+    no_load_speed: ArrayLike | None = option(
+        None,
+        "W1,W2,...",
+        "speed at which the servo's torque limit has fallen to zero [rad/s], one or each",
+        parse=parse_servo_numbers,
     )
-    goal_acceleration: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "limit of the acceleration of the servo's goal [rad/s^2], one or each; none;"
-            " auto (default): estimated from the log",
-            "metavar": "A1,A2,...",
-            "parse": parse_servo_numbers,
-        },
+    goal_acceleration: ArrayLike | None = option(
+        None,
+        "A1,A2,...",
+        "limit of the acceleration of the servo's goal [rad/s^2], one or each; none;"
+        " auto (default): estimated from the log",
+        parse=parse_servo_numbers,
     )
-    goal_speed: ArrayLike | None = field(
-        default=None,
-        metadata={
-            "help": "limit of the speed of the servo's goal [rad/s], one or each",
-            "metavar": "V1,V2,...",
-            "parse": parse_servo_numbers,
-        },
+    goal_speed: ArrayLike | None = option(
+        None,
+        "V1,V2,...",
+        "limit of the speed of the servo's goal [rad/s], one or each",
+        parse=parse_servo_numbers,
     )
-    fixed_base: bool = field(
-        default=False,
-        metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
+    fixed_base: bool = switch(False, HELD_BASE)
+    free_base: bool = switch(
+        False,
+        "the robot stands on no fixed root: legs, drones, satellites; the log has its"
+        " pose (base_x ..) or an inertial sensor (imu_wx .., imu_ax ..)",
     )
-    free_base: bool = field(
-        default=False,
-        metadata={
-            "help": "the robot stands on no fixed root: legs, drones, satellites; the log has its"
-            " pose (base_x ..) or an inertial sensor (imu_wx .., imu_ax ..)"
-        },
-    )
-    contacts: str | None = field(
-        default=None,
-        metadata={
-            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
-            "metavar": "FRAME,...",
-        },
-    )
+    contacts: str | None = option(None, "FRAME,...", CONTACTS)
 
     @property
     def windows(self) -> tuple[tuple[float, float], ...]:
@@ -290,12 +237,8 @@ class ReadingOptions:
         return BaseOptions(**{name: getattr(self, name) for name in OF_BASE})
 
     def __post_init__(self) -> None:
-        if self.torque_source not in (None, *TORQUE_SOURCES):
-            raise UsageError(
-                f"torque_source {self.torque_source!r} is not one of {', '.join(TORQUE_SOURCES)}",
-                value=self.torque_source,
-                available=TORQUE_SOURCES,
-            )
+        if self.torque_source is not None:
+            check_choice("torque_source", self.torque_source, TORQUE_SOURCES)
         for name in PER_JOINT:
             if getattr(self, name) is not None:
                 values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64)).ravel()

@@ -196,7 +196,7 @@ def _read_one(
     robot: RobotModel | str | Path, item: RecordingLike, settings: Mapping[str, Any]
 ) -> tuple[RobotModel, Recording | RecordingStream]:
     """Return a robot as it was recorded, and its one recording."""
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     options = merge_reading_options(None, settings)
     model, (found,) = read_fitted_recordings(model, (item,), options)
     if len(found) != 1 or isinstance(found[0], Samples):

@@ -101,7 +101,7 @@ class Excess:
 
 
 def find_impossible_motion(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion | None
 ) -> Excess | None:
     """Return why the motion in radians is impossible, None if it is not.
 
@@ -113,15 +113,15 @@ def find_impossible_motion(
     if not turning:
         return None
     # A far position is a unit's or a robot's; speed alone may be the clock's.
-    evidence, largest = _find_far_position(model, recording, turning)
+    evidence, largest = _find_far_position(model, statistics, turning)
     rate = None
     if not evidence and motion is not None:
         evidence, ratio = _find_fast_joint(model, motion, turning)
-        rate = recording.rate / ratio
+        rate = statistics.rate / ratio
     if not evidence:
         return None
     # What a sheet states is believed.
-    if "position" in recording.first.stated:
+    if "position" in statistics.first.stated:
         return None
     # No joint turns this far: torques need not be asked.
     if largest >= LARGEST_RADIANS:
@@ -158,10 +158,10 @@ def _is_too_fast(fit: TorqueFit) -> bool:
 
 
 def _find_far_position(
-    model: RobotModel, recording: FirstPass, turning: list[int]
+    model: RobotModel, statistics: FirstPass, turning: list[int]
 ) -> tuple[str, float]:
     """Return which position is far outside its limits, empty if none is, and the largest one."""
-    extremes = recording.position_range
+    extremes = statistics.position_range
     joints = [model.joints[k] for k in turning]
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
     largest = np.where(extremes.count > 0, largest, np.nan)[turning]
@@ -202,34 +202,34 @@ def _find_fast_joint(
 
 
 def check_recorded_motion(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None, excess: Excess | None
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion | None, excess: Excess | None
 ) -> Iterator[Finding]:
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(find_velocity_unit(model, recording, motion, motion.logged_qd))
+        velocities = list(find_velocity_unit(model, statistics, motion, motion.logged_qd))
         # A wrong unit makes every comparison of velocities wrong: the first finding is the cause.
-        velocities = velocities or list(check_velocities(recording, motion, motion.logged_qd))
+        velocities = velocities or list(check_velocities(statistics, motion, motion.logged_qd))
     if excess is None:
-        yield from _find_millimetres(model, recording)
-        yield from _check_limits(model, recording)
+        yield from _find_millimetres(model, statistics)
+        yield from _check_limits(model, statistics)
         if motion is not None:
-            yield from _find_too_fast(model, recording.rate, motion)
+            yield from _find_too_fast(model, statistics.rate, motion)
     elif "rate_wrong" not in [finding.code for finding in velocities]:
-        yield excess.finding(recording.rate)
+        yield excess.finding(statistics.rate)
     degrees = excess is not None and excess.unit != "rad"
-    yield from _find_still(model, recording, DEGREE if degrees else 1.0)
-    yield from _find_correlated(recording)
+    yield from _find_still(model, statistics, DEGREE if degrees else 1.0)
+    yield from _find_correlated(statistics)
     yield from velocities
 
 
-def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def _find_millimetres(model: RobotModel, statistics: FirstPass) -> Iterator[Finding]:
     """Find sliding joints that are far outside their limits, and inside them as millimetres."""
     for k, joint in enumerate(model.joints):
         bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
         # A slide without limits is no longer than the robot.
         bound = bound if np.isfinite(bound) else stretched_length(model)
-        extremes = recording.position_range
+        extremes = statistics.position_range
         # By absolute position: millimetres are off by a factor, not by a shift.
         furthest = float(max(abs(extremes.low[k]), abs(extremes.high[k])))
         # 1e-3: a millimetre in metres.
@@ -249,19 +249,18 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
         )
 
 
-def _check_limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
-    outside = recording.outside_limits
+def _check_limits(model: RobotModel, statistics: FirstPass) -> Iterator[Finding]:
+    outside = statistics.outside_limits
     for k in np.flatnonzero(outside.count).tolist():
         joint = model.joints[k]
         value = outside.value[k]
         time = float(outside.time[k])
-        unit = "rad" if joint.is_revolute else "m"
         yield Finding(
             "position_limit",
             "warning",
             f"{joint.name} is outside its limits [{joint.limits.lower:.4g},"
-            f" {joint.limits.upper:.4g}] {unit} in {outside.count[k]} of {recording.n_samples}"
-            f" samples, furthest {value:.4g} {unit} at {time:.4g} s",
+            f" {joint.limits.upper:.4g}] {joint.unit} in {outside.count[k]} of"
+            f" {statistics.n_samples} samples, furthest {value:.4g} {joint.unit} at {time:.4g} s",
             Cure("compare units and zero position of the joint in the log with the model"),
             joint=joint.name,
             time=time,
@@ -301,16 +300,16 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     )
 
 
-def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterator[Finding]:
+def _find_still(model: RobotModel, statistics: FirstPass, scale: float) -> Iterator[Finding]:
     still: list[tuple[str, float, str]] = []
-    extremes = recording.position_range
+    extremes = statistics.position_range
     for k, joint in enumerate(model.joints):
         # Position range below which a joint hardly moves [rad or m].
-        factor, least, unit = (scale, 0.05, "rad") if joint.is_revolute else (1.0, 0.005, "m")
+        factor, least = (scale, 0.05) if joint.is_revolute else (1.0, 0.005)
         span = float(extremes.high[k] * factor - extremes.low[k] * factor)
         span = span if extremes.count[k] else 0.0
         if span < least:
-            still.append((joint.name, span, unit))
+            still.append((joint.name, span, joint.unit))
     if len(still) == model.n_joints:
         name, span, unit = max(still, key=lambda joint: joint[1])
         yield Finding(
@@ -336,17 +335,17 @@ def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterat
         )
 
 
-def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
-    moving = recording.moments.moving
-    correlation = np.abs(recording.moments.correlations(moving))
+def _find_correlated(statistics: FirstPass) -> Iterator[Finding]:
+    moving = statistics.moments.moving
+    correlation = np.abs(statistics.moments.correlations(moving))
     # Correlation of positions from which joints move in step.
     # The largest group: joints that move in step with each other, not with one only.
     group = max((np.flatnonzero(row > 0.995) for row in correlation), key=len, default=())
     if len(group) < 3:
         return
-    names = [recording.first.joint_names[moving[k]] for k in group]
+    names = [statistics.first.joint_names[moving[k]] for k in group]
     least = float(np.min(correlation[np.ix_(group, group)]))
-    everyone = len(group) == recording.n_joints
+    everyone = len(group) == statistics.n_joints
     yield Finding(
         "joints_correlated",
         "warning" if everyone else "info",
@@ -363,7 +362,7 @@ _RANK_TOLERANCE = 1e-7
 
 
 def check_excitation(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion | None
 ) -> Iterator[Finding]:
     """Find recordings with too few samples, rank deficiency, or a large scaled condition number.
 
@@ -371,13 +370,13 @@ def check_excitation(
     its columns scaled to unit length.
     """
     base = find_base_parameters(model, USUAL_FRICTION)
-    if recording.n_samples < base.n_base:
+    if statistics.n_samples < base.n_base:
         yield Finding(
             # Least squares of fewer rows than parameters determines nothing, whatever the motion.
             "too_few_samples",
             "error",
-            f"{recording.n_samples} samples are fewer than the {base.n_base} parameters to identify"
-            " (base parameters, viscous, Coulomb and offset terms)",
+            f"{statistics.n_samples} samples are fewer than the {base.n_base} parameters to"
+            " identify (base parameters, viscous, Coulomb and offset terms)",
             Cure(f"record at least some thousand samples of {model.name} in motion"),
         )
         return
@@ -386,7 +385,7 @@ def check_excitation(
             "too_short",
             "error",
             "no segment of the recording is long enough to differentiate:"
-            f" {recording.n_samples} samples in {recording.duration:.3g} s",
+            f" {statistics.n_samples} samples in {statistics.duration:.3g} s",
             Cure("record at least ten seconds without gaps"),
         )
         return
@@ -418,7 +417,7 @@ def check_excitation(
             "weak_excitation",
             "warning",
             f"the scaled condition number is {values[0] / values[-1]:.3g} (good motions have 10 to"
-            f" 50) over {recording.duration:.3g} s; least excited are {worst}",
+            f" 50) over {statistics.duration:.3g} s; least excited are {worst}",
             Cure(
                 "add recordings or design a motion, and validate on another recording",
                 call="design_motion",

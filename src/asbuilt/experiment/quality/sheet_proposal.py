@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_toml, format_toml_key
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment.logs.columns.layout import Layout
@@ -255,7 +255,7 @@ def _complete(
     try:
         sheet = RecordingSheet.model_validate(content)
         table = read_table([*paths], sheet)
-        layout = find_table_layout(table, sheet, model.standing, options)
+        layout = find_table_layout(table, sheet, model.on_held_base, options)
         # Completed sheets are kept only if they read the same.
         full = merge_fields(content, _list_columns(table, layout, content))
         again = head_of_recorded(_read(model, paths, options, full)[1])
@@ -333,6 +333,10 @@ def _name_unit(quantity: str, scales: Sequence[float]) -> str | None:
     return next((unit for factor, unit in named.items() if math.isclose(factor, scales[0])), None)
 
 
+def _format_number(value: float) -> str:
+    return f"{value:.10g}"
+
+
 def format_sheet(content: Mapping[str, Any]) -> list[str]:
     """Return the lines of a recording sheet in TOML.
 
@@ -341,7 +345,7 @@ def format_sheet(content: Mapping[str, Any]) -> list[str]:
     """
     tables = {name: value for name, value in content.items() if isinstance(value, Mapping)}
     lines = [
-        f"{name} = {_format_value(value)}"
+        f"{name} = {format_toml(value, _format_number)}"
         for name, value in content.items()
         if name not in tables and value is not None
     ]
@@ -351,31 +355,11 @@ def format_sheet(content: Mapping[str, Any]) -> list[str]:
         if entries:
             lines += ["", f"[{name}]"]
             lines += [
-                f"{_format_key(key)} = "
-                + ((name == "columns" and _find_span(value)) or _format_value(value))
+                f"{format_toml_key(key)} = "
+                + ((name == "columns" and _find_span(value)) or format_toml(value, _format_number))
                 for key, value in entries.items()
             ]
     return lines
-
-
-def _format_key(key: str) -> str:
-    bare = key.replace("_", "").replace("-", "").isalnum() and key.isascii()
-    return key if bare else json.dumps(key)
-
-
-def _format_value(value: Any) -> str:
-    """Return a value as TOML."""
-    # A bool is an int in Python, and must be asked for first.
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float | int):
-        return f"{value:.10g}"
-    if isinstance(value, Mapping):
-        inside = ", ".join(f"{_format_key(k)} = {_format_value(v)}" for k, v in value.items())
-        return f"{{ {inside} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_format_value, value))}]"
-    return json.dumps(str(value), ensure_ascii=False)
 
 
 def _find_span(value: Any) -> str:
@@ -393,4 +377,4 @@ def _find_span(value: Any) -> str:
     numbers = [int(match[2]) for match in found if match]
     rises = numbers == [*range(numbers[0], numbers[0] + len(numbers))]
     text = f"{listed[0]}-{listed[-1]}"
-    return json.dumps(text, ensure_ascii=False) if len(stems) == 1 and rises else ""
+    return format_toml(text) if len(stems) == 1 and rises else ""

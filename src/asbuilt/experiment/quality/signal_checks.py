@@ -25,20 +25,19 @@ EXCEEDED = 1.2
 """Multiple of a torque limit that no drive gives: sensors and filters overshoot by less."""
 
 
-def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def check_channels(model: RobotModel, statistics: FirstPass) -> Iterator[Finding]:
     """Name joints without a usable torque channel, unless there is none at all."""
-    if not recording.first.has_torque.any():
+    if not statistics.first.has_torque.any():
         return
-    for k in np.flatnonzero(~recording.first.has_torque).tolist():
+    for k in np.flatnonzero(~statistics.first.has_torque).tolist():
         joint = model.joints[k]
-        value = recording.first.tau[0, k]
-        ranges = recording.position_range
-        torque, angle = ("N m", "rad") if joint.is_revolute else ("N", "m")
+        value = statistics.first.tau[0, k]
+        ranges = statistics.position_range
         what = (
-            f"is not logged in any of {recording.n_samples} samples"
+            f"is not logged in any of {statistics.n_samples} samples"
             if np.isnan(value)
-            else f"is {value:.4g} {torque} in all {recording.n_samples} samples, while the joint"
-            f" moves by {ranges.high[k] - ranges.low[k]:.3g} {angle}"
+            else f"is {value:.4g} {joint.torque_unit} in all {statistics.n_samples} samples, while"
+            f" the joint moves by {ranges.high[k] - ranges.low[k]:.3g} {joint.unit}"
         )
         yield Finding(
             "joint_without_torque",
@@ -53,14 +52,14 @@ def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
 
 
 def check_saturation(
-    model: RobotModel, recording: FirstPass, closer: SecondPass
+    model: RobotModel, statistics: FirstPass, closer: SecondPass
 ) -> Iterator[Finding]:
     """Find torques that stay at an extreme value or reach the joint's torque limit.
 
     An extreme of zero is none: magnitudes rest there.
     """
-    n_changed = recording.repeats.n_changed
-    doubted = _doubt_torque_limits(model, recording)
+    n_changed = statistics.repeats.n_changed
+    doubted = _doubt_torque_limits(model, statistics)
     if doubted is not None:
         yield doubted
     for k, joint in enumerate(model.joints):
@@ -85,32 +84,34 @@ def check_saturation(
                     time=float(plateau.times[start]),
                 )
         limit = joint.limits.torque
-        over = int(recording.saturated.count[k])
+        over = int(statistics.saturated.count[k])
         # Currents have no limit in the description's unit.
-        stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
+        stated = 0.0 < limit < np.inf and statistics.first.torque_source != "current"
         stated = stated and doubted is None
         # From half of the samples on the limit itself is doubted elsewhere.
         if closer.plateaus[k] and stated and 3 <= over < 0.5 * n_changed:
             yield Finding(
                 "torque_limit",
                 "warning",
-                f"the torque of {joint.name} reaches {recording.saturated.value[k]:.4g} N m in"
+                f"the torque of {joint.name} reaches {statistics.saturated.value[k]:.4g} N m in"
                 f" {over} of {n_changed} samples; its limit is {limit:.4g} N m",
                 Cure("record a gentler motion if the drive saturates, or check the torque unit"),
                 joint=joint.name,
-                time=float(recording.saturated.time[k]),
+                time=float(statistics.saturated.time[k]),
             )
 
 
-def _doubt_torque_limits(model: RobotModel, recording: FirstPass) -> Finding | None:
+def _doubt_torque_limits(model: RobotModel, statistics: FirstPass) -> Finding | None:
     """Return that one number is the torque limit of every joint, which the log exceeds."""
     limits = np.array([joint.limits.torque for joint in model.joints])
     known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
-    current = recording.first.torque_source == "current"
+    current = statistics.first.torque_source == "current"
     if current or known.size < FEWEST_ALIKE or np.ptp(limits[known]) > 0.0:
         return None
     # Joints that stay below their limits have no value.
-    reached = np.where(recording.saturated.count > 0, np.abs(recording.saturated.value), 0.0)[known]
+    reached = np.where(statistics.saturated.count > 0, np.abs(statistics.saturated.value), 0.0)[
+        known
+    ]
     k = int(np.argmax(reached))
     if reached[k] < EXCEEDED * limits[known[k]]:
         return None
@@ -124,19 +125,19 @@ def _doubt_torque_limits(model: RobotModel, recording: FirstPass) -> Finding | N
     )
 
 
-def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def check_spikes(model: RobotModel, statistics: FirstPass) -> Iterator[Finding]:
     """Name joints with single torques that stand out from their neighbours: number, size, place."""
-    for joint in sorted({spike.joint for spike in recording.spikes}):
-        spikes_here = [spike for spike in recording.spikes if spike.joint == joint]
+    for joint in sorted({spike.joint for spike in statistics.spikes}):
+        spikes_here = [spike for spike in statistics.spikes if spike.joint == joint]
         times = np.concatenate([spike.times for spike in spikes_here])
         sizes = np.concatenate([spike.sizes for spike in spikes_here])
         worst = int(np.argmax(sizes))
         name = model.joint_names[joint]
-        unit = "N m" if model.joints[joint].is_revolute else "N"
+        unit = model.joints[joint].torque_unit
         yield Finding(
             "torque_spikes",
             "warning",
-            f"{times.size} of {recording.n_samples} torques of {name} stand out from the"
+            f"{times.size} of {statistics.n_samples} torques of {name} stand out from the"
             f" samples next to them, by up to {sizes[worst]:.4g} {unit} at"
             f" t = {times[worst]:.6g} s; fits use the mean of these neighbours instead",
             Cure("find out where single values come from: a hard stop, the bus or the sensor"),
@@ -277,10 +278,10 @@ FEW_LOST = 0.01
 then long, and nearly all samples used."""
 
 
-def check_clock(recording: FirstPass) -> Iterator[Finding]:
+def check_clock(statistics: FirstPass) -> Iterator[Finding]:
     """Find missing values, wrong units of time, time stamps that repeat, decrease or jump."""
-    yield from _find_not_finite(recording)
-    clock = recording.clock
+    yield from _find_not_finite(statistics)
+    clock = statistics.clock
     backward = clock.backward
     if backward.count:
         yield Finding(
@@ -311,7 +312,7 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
     if gaps.size:
         longest = int(np.argmax(gaps))
         # A few lost samples are nobody's worry: the recording is split there.
-        few = gaps.size <= FEW_GAPS and gaps.sum() < FEW_LOST * recording.duration
+        few = gaps.size <= FEW_GAPS and gaps.sum() < FEW_LOST * statistics.duration
         yield Finding(
             "clock_gap",
             "info" if few else "warning",
@@ -332,25 +333,25 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
             f" {1e3 * step:.3g} ms",
             Cure("no action is needed: the recording is resampled to a uniform clock"),
         )
-    yield from _find_stale(recording)
+    yield from _find_stale(statistics)
 
 
-def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
+def _find_not_finite(statistics: FirstPass) -> Iterator[Finding]:
     """Find values that are missing, infinite or absurd, once for columns with the same rows."""
-    clock = recording.clock
+    clock = statistics.clock
     if clock.n_unknown:
         yield Finding(
             "not_finite",
             "error",
-            f"{clock.n_unknown} of {recording.n_samples} time stamps are not numbers, first at"
+            f"{clock.n_unknown} of {statistics.n_samples} time stamps are not numbers, first at"
             f" sample {clock.unknown_row + 1}",
             Cure("repair or remove these rows"),
         )
     together: dict[bytes, list[Missing]] = {}
     # Columns that miss the same rows have one cause, and one finding.
-    for column in recording.missing:
+    for column in statistics.missing:
         together.setdefault(column.rows.tobytes(), []).append(column)
-    names = recording.first.joint_names
+    names = statistics.first.joint_names
     for columns in together.values():
         rows = columns[0].rows
         value = columns[0].first
@@ -368,7 +369,7 @@ def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
         yield Finding(
             "not_finite",
             "error",
-            f"{rows.size} of {recording.n_samples} values of {' and '.join(listed)} are not usable"
+            f"{rows.size} of {statistics.n_samples} values of {' and '.join(listed)} are not usable"
             f" numbers, the first {kind} at sample {rows[0] + 1}, t = {columns[0].time:.6g} s",
             Cure("repair or remove these rows, or exclude them by [[windows]] in a sheet"),
             joint=names[columns[0].joint],
@@ -412,21 +413,21 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
         )
 
 
-def _find_stale(recording: FirstPass) -> Iterator[Finding]:
-    repeats = recording.repeats
+def _find_stale(statistics: FirstPass) -> Iterator[Finding]:
+    repeats = statistics.repeats
     if repeats.n_changed < 3 or repeats.brief < MOST_REPEATS:
         return
     # A value changes once in so many samples.
     times = repeats.brief / repeats.n_brief
     share = 1.0 - repeats.n_brief / repeats.brief
-    rate = recording.rate / times
+    rate = statistics.rate / times
     if share > 0.2:
         yield Finding(
             "stale_samples",
             "warning",
             f"{100 * share:.0f} % of the samples repeat the one before in every joint: values"
             f" change about every {times:.3g} samples ({rate:.3g} Hz), the log has"
-            f" {recording.rate:.4g} Hz",
+            f" {statistics.rate:.4g} Hz",
             Cure(
                 "log at the controller's rate, or keep the low-pass cutoff well below"
                 f" {rate / 2:.3g} Hz"

@@ -38,7 +38,7 @@ BRAKING = 0.5
 
 
 def check_torques(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion, position_scale: Array
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion, position_scale: Array
 ) -> Iterator[Finding]:
     """Compare the measured torques with the model's rigid-body torques.
 
@@ -54,7 +54,7 @@ def check_torques(
             "no_torque",
             "error",
             "the torques are constant: the torque of the first joint is"
-            f" {recording.first.tau[0, 0]:.4g} in {recording.n_samples} samples",
+            f" {statistics.first.tau[0, 0]:.4g} in {statistics.n_samples} samples",
             Cure("log the measured joint torques or motor currents"),
         )
         return
@@ -71,10 +71,10 @@ def check_torques(
     by_masses = 0 if best is fit else compare_by_any_masses(fit, best)
     if by_masses < 0:
         best = fit
-    stated = "zero" in recording.first.stated
+    stated = "zero" in statistics.first.stated
     other = check_conventions(best, believed=stated)
     if other is None and not stated:
-        other = check_zeros(best, of_encoders=_list_wrapped_joints(recording))
+        other = check_zeros(best, of_encoders=_list_wrapped_joints(statistics))
     if best is not fit:
         yield _report_swapped(fit, best, "error" if by_masses > 0 else "warning")
     if other is not None:
@@ -83,13 +83,13 @@ def check_torques(
     # Swaps by any masses are asked only where CAD shows none.
     elif best is fit:
         yield from _find_swapped_without_cad(fit)
-    yield from _check_sign_and_scale(recording, best, ratio)
+    yield from _check_sign_and_scale(statistics, best, ratio)
 
 
-def _list_wrapped_joints(recording: FirstPass) -> tuple[int, ...]:
+def _list_wrapped_joints(statistics: FirstPass) -> tuple[int, ...]:
     """Return the joints of a log whose counters begin again within the motion."""
-    wrapped = any(note.startswith(UNWRAPPED) for note in recording.first.notes)
-    return tuple(range(recording.n_joints)) if wrapped else ()
+    wrapped = any(note.startswith(UNWRAPPED) for note in statistics.first.notes)
+    return tuple(range(statistics.n_joints)) if wrapped else ()
 
 
 def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
@@ -201,7 +201,7 @@ def _find_swapped_without_cad(fit: TorqueFit) -> Iterator[Finding]:
         )
 
 
-def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
+def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
     model = fit.model
     names = fit.model.joint_names
     correlation = fit.correlation
@@ -233,12 +233,12 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
     if flipped:
         yield Finding(
             "torque_flipped",
-            _weigh_flip(recording, fit, clear),
+            _weigh_flip(statistics, fit, clear),
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
             _make_signs_cure(model, sign, alone)
             if alone
-            else _make_flip_cure(recording.first.notes),
+            else _make_flip_cure(statistics.first.notes),
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     # Where rigid bodies say nothing friction does.
@@ -246,21 +246,21 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
     braking = np.flatnonzero(friction < -BRAKING).tolist()
     braking = [k for k in braking if k not in alone]
     for k in alone:
-        yield _report_opposite_sign(recording, fit, k, sign, alone, gain[k])
+        yield _report_opposite_sign(statistics, fit, k, sign, alone, gain[k])
     for k in braking:
         yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *braking])
     # An unknown stiffness is the scale: there is none to doubt.
-    open_scale = report_open_scale(model, recording.first, scale)
+    open_scale = report_open_scale(model, statistics.first, scale)
     if open_scale is not None:
         yield open_scale
         return
     # A scale of all joints is one unit; single joints are asked after it.
-    part = None if "torque" in recording.first.stated else find_part_of_limits(model, gain, clear)
+    part = None if "torque" in statistics.first.stated else find_part_of_limits(model, gain, clear)
     if part is not None:
         yield _report_part_of_limits(model, part, evidence)
         return
     if not PLAUSIBLE[0] < scale < PLAUSIBLE[1]:
-        yield _report_scale(recording, fit, scale, evidence, clear, gain)
+        yield _report_scale(statistics, fit, scale, evidence, clear, gain)
         return
     for k in clear:
         if abs(correlation[k]) > CERTAIN and not usual[k]:
@@ -291,14 +291,14 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
             )
 
 
-def _weigh_flip(recording: FirstPass, fit: TorqueFit, clear: Sequence[int]) -> Severity:
+def _weigh_flip(statistics: FirstPass, fit: TorqueFit, clear: Sequence[int]) -> Severity:
     """Return whether a second road shows that all torques are flipped.
 
     Friction brakes and kinetic energy is positive, whatever the masses; where neither shows, both
     halves of the log must agree.
     """
     # A sign that is stated is the user's: doubt is a warning.
-    if "sign" in recording.first.stated:
+    if "sign" in statistics.first.stated:
         return "warning"
     roads = find_friction_sign(fit) + fit.kinetic_sign
     halves = [half.correlation[clear] for half in fit.halves()]
@@ -307,7 +307,7 @@ def _weigh_flip(recording: FirstPass, fit: TorqueFit, clear: Sequence[int]) -> S
 
 
 def _report_opposite_sign(
-    recording: FirstPass,
+    statistics: FirstPass,
     fit: TorqueFit,
     k: int,
     sign: float,
@@ -337,7 +337,7 @@ def _report_opposite_sign(
             joint=name,
         )
     braking = sign * fit.correlate_friction([k])[k] < -BRAKING
-    sure = (by_masses > 0 or braking) and "sign" not in recording.first.stated
+    sure = (by_masses > 0 or braking) and "sign" not in statistics.first.stated
     return Finding(
         "joint_torque_flipped",
         "error" if sure else "warning",
@@ -479,7 +479,7 @@ def _report_current(
 
 
 def _report_scale(
-    recording: FirstPass,
+    statistics: FirstPass,
     fit: TorqueFit,
     scale: float,
     evidence: str,
@@ -512,10 +512,10 @@ def _report_scale(
     masses = [link.inertia.mass for link in model.links if link.inertia.mass > 0.0]
     # Converted drawings have one mass for many links.
     placeholders = len(masses) > 2 and 2 * len(set(masses)) <= len(masses)
-    sure = sure and not placeholders and "torque" not in recording.first.stated
-    if recording.first.torque_source == "current":
+    sure = sure and not placeholders and "torque" not in statistics.first.stated
+    if statistics.first.torque_source == "current":
         return _report_current(model, gain, clear, "error" if sure else "warning")
-    if recording.first.torque_source == "command":
+    if statistics.first.torque_source == "command":
         guess, cure = WRONG_SCALE
     elif 300 < scale < 3000:
         guess = "they look like mN m"

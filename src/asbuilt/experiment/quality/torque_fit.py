@@ -18,7 +18,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
 from asbuilt.dynamics.drives.torque import spring_columns
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.scaled import Scaled
+from asbuilt.scaled import Scaled, find_column_space
 
 T = TypeVar("T")
 
@@ -285,12 +285,7 @@ class TorqueFit:
         )
         rows = observed.reshape(*self.q.shape, base.n_base)
         for k in asked:
-            lengths = np.linalg.norm(rows[:, k], axis=0)
-            basis, values, _ = np.linalg.svd(
-                rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False
-            )
-            # Directions of rounding would project out noise.
-            basis = basis[:, values > 1e-6 * values[0]]
+            basis = find_column_space(rows[:, k])
             both = np.column_stack([np.tanh(self.qd[:, k] / BREAKAWAY), self.tau[:, k]])
             direction, rest = (both - basis @ (basis.T @ both)).T
             norm = float(np.linalg.norm(direction) * np.linalg.norm(rest))

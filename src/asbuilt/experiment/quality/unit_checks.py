@@ -111,16 +111,16 @@ class Counts:
 
 
 def find_counts(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion | None
 ) -> Counts | None:
     """Return the counts of an encoder that positions are in, None if they are none.
 
     The counts of a turn, and where zero is, are those with which gravity, inertia and friction
     explain the torques best, clearly better than with others.
     """
-    low = recording.position_range.low
-    high = recording.position_range.high
-    q = recording.first.q
+    low = statistics.position_range.low
+    high = statistics.position_range.high
+    q = statistics.first.q
     known = q[np.all(np.isfinite(q), axis=1)]
     largest = float(np.max(np.maximum(np.abs(low), np.abs(high)), initial=0.0))
     # Whole numbers within a turn could be radians by chance; beyond they are counts.
@@ -141,7 +141,7 @@ def find_counts(
     best = ranked[0]
     alike = [each for each in ranked if left[best] > CLEARLY_LESS * left[each]]
     # Where positions start again a turn ends; velocities in a usual unit count it.
-    ends = [each for each in alike if _is_near(each[0], _find_wrap(recording))]
+    ends = [each for each in alike if _is_near(each[0], _find_wrap(statistics))]
     timed = [each for each in alike if _agrees_with_velocities(motion, each[0])]
     told = ends or (timed if len({turn for turn, _ in timed}) == 1 else [])
     best = told[0] if told else best
@@ -160,9 +160,9 @@ def find_counts(
     return Counts(best[0], best[1], largest, names)
 
 
-def _find_wrap(recording: FirstPass) -> float:
+def _find_wrap(statistics: FirstPass) -> float:
     """Return the count at which positions started again, 0 where they were not unwrapped."""
-    for note in recording.first.notes:
+    for note in statistics.first.notes:
         if note.startswith(UNWRAPPED):
             return float(note.removeprefix(UNWRAPPED).split()[0])
     return 0.0
@@ -199,15 +199,15 @@ KNOWN_POSITIONS = {
 """Units of positions of motors beside degrees and counts, and what they are in rad."""
 
 
-def find_position_unit(model: RobotModel, recording: FirstPass, motion: SmoothedMotion) -> str:
+def find_position_unit(model: RobotModel, statistics: FirstPass, motion: SmoothedMotion) -> str:
     """Return the unit of positions that torques show, "" for rad, degrees and where none does.
 
     The unit is that with which gravity, inertia and friction explain the torques best, clearly
     better than radians, degrees and the others, and within the limits of the joints.
     """
-    if "position" in recording.first.stated or not all(j.is_revolute for j in model.joints):
+    if "position" in statistics.first.stated or not all(j.is_revolute for j in model.joints):
         return ""
-    extremes = recording.position_range
+    extremes = statistics.position_range
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
     limits = [max(abs(joint.limits.lower), abs(joint.limits.upper)) for joint in model.joints]
     left = {
@@ -294,7 +294,7 @@ def _fit_parts(model: RobotModel, q: Array, qd: Array, qdd: Array, tau: Array) -
 
 
 def find_velocity_unit(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion, logged: Array
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion, logged: Array
 ) -> Iterator[Finding]:
     """Find velocities that are the derivative of the positions in another unit.
 

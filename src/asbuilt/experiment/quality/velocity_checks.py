@@ -24,10 +24,10 @@ _OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
 
 
 def check_velocities(
-    recording: FirstPass, motion: SmoothedMotion, logged: Array
+    statistics: FirstPass, motion: SmoothedMotion, logged: Array
 ) -> Iterator[Finding]:
     """Find logged velocities that are zero, swapped, in another unit, wrong, late or disturbed."""
-    names = recording.first.joint_names
+    names = statistics.first.joint_names
     slope = motion.qd
     energy = np.sum(slope**2, axis=0)
     # Range of positions [rad or m] up to which a joint is at rest, its velocity noise.
@@ -39,8 +39,8 @@ def check_velocities(
             yield Finding(
                 "velocity_zero",
                 "warning",
-                f"the logged velocities are 0 in all {recording.n_samples} samples while the joints"
-                " move; they are not used",
+                f"the logged velocities are 0 in all {statistics.n_samples} samples while the"
+                " joints move; they are not used",
                 Cure("leave the velocity columns out"),
             )
         return
@@ -84,14 +84,14 @@ def check_velocities(
             ),
         )
         return
-    rate = _find_right_rate(recording, np.diag(correlation), gain)
+    rate = _find_right_rate(statistics, np.diag(correlation), gain)
     if rate is not None:
         yield Finding(
             "rate_wrong",
             "error",
             f"the logged velocities of all {moving.size} joints that move are {middle:.4g} times"
             f" the derivative of the positions: the rate is {rate:.4g} Hz, not"
-            f" {recording.rate:.4g} Hz",
+            f" {statistics.rate:.4g} Hz",
             Cure(
                 "give that rate, or correct the time stamps; leave the velocity columns out if the"
                 " velocities are wrong instead",
@@ -115,11 +115,11 @@ def check_velocities(
         else:
             continue
         yield Finding("velocity_mismatch", "warning", message, LEAVE_OUT, joint=names[k])
-    yield from _find_lag(recording, motion, logged, moving.tolist())
-    yield from _check_ends(recording, motion, logged, moving.tolist())
+    yield from _find_lag(statistics, motion, logged, moving.tolist())
+    yield from _check_ends(statistics, motion, logged, moving.tolist())
 
 
-def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> float | None:
+def _find_right_rate(statistics: FirstPass, correlation: Array, gain: Array) -> float | None:
     """Return the rate [Hz] at which velocities are derivatives of positions, if there is one.
 
     Units of velocity other than the units of the positions are no reason to doubt the rate.
@@ -135,15 +135,15 @@ def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> f
         and np.all(correlation >= 0.95)
         and not any(abs(common / unit - 1.0) < apart for unit in _OTHER_UNITS)
     )
-    return float(f"{common * recording.rate:.3g}") if wrong else None
+    return float(f"{common * statistics.rate:.3g}") if wrong else None
 
 
 def _find_lag(
-    recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
+    statistics: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
     lags = np.array([_find_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
     # Repeated samples lengthen the true period.
-    step = 1.0 / (recording.rate * (recording.repeats.n_changed / recording.n_samples))
+    step = 1.0 / (statistics.rate * (statistics.repeats.n_changed / statistics.n_samples))
     middle = float(np.median(lags))
     # Lag from which it is reported, in sampling periods; none is found if one of them is not known.
     # NaN compares as false: one joint without a lag leaves all open.
@@ -155,9 +155,9 @@ def _find_lag(
             "info",
             f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative"
             f" of the positions by {low if low == high else f'{low} to {high}'} ms, most in"
-            f" {recording.first.joint_names[worst]} (sampling period {1e3 * step:.3g} ms)",
+            f" {statistics.first.joint_names[worst]} (sampling period {1e3 * step:.3g} ms)",
             LEAVE_OUT,
-            joint=recording.first.joint_names[worst],
+            joint=statistics.first.joint_names[worst],
         )
 
 
@@ -185,7 +185,7 @@ def _find_best_shift(late: Array, early: Array) -> float:
 
 
 def _check_ends(
-    recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
+    statistics: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
     """Find ends at which velocities and positions differ, as after the transient of a filter."""
     end = 0.4  # duration of the ends that a filter may have disturbed [s]
@@ -207,15 +207,15 @@ def _check_ends(
             disturbed[name] = k, float(worst[k])
     # One window cuts both ends, whichever finding is followed.
     start = "0.5" if "first" in disturbed else ""
-    stop = f"{recording.duration - 0.5:.4g}" if "last" in disturbed else ""
+    stop = f"{statistics.duration - 0.5:.4g}" if "last" in disturbed else ""
     for name, (k, size) in disturbed.items():
         yield Finding(
             "end_transient",
             "warning",
-            f"in the {name} {end:g} s the logged velocity of {recording.first.joint_names[k]}"
+            f"in the {name} {end:g} s the logged velocity of {statistics.first.joint_names[k]}"
             f" differs from the derivative of its position by up to {size:.3g} rad/s,"
             f" elsewhere by {inner[k]:.2g} rad/s, as at the end of a filtered signal",
             Cure(f"cut the {name} half second", {"window": f"{start}:{stop}"}),
-            joint=recording.first.joint_names[k],
-            time=recording.clock.first if name == "first" else recording.clock.last - end,
+            joint=statistics.first.joint_names[k],
+            time=statistics.clock.first if name == "first" else statistics.clock.last - end,
         )

@@ -48,11 +48,7 @@ def savitzky_golay(
     the ends (Savitzky and Golay, Analytical Chemistry, 1964).
     """
     values = np.asarray(x, dtype=np.float64)
-    if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(
-            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
-            f" {0.5 * rate:g} Hz"
-        )
+    _check_cutoff(cutoff, rate)
     window = savitzky_golay_window(cutoff, rate, degree)
     if window > values.shape[0]:
         raise UsageError(
@@ -72,6 +68,14 @@ def savitzky_golay(
         for d in range(3)
     )
     return q, qd, qdd
+
+
+def _check_cutoff(cutoff: float, rate: float) -> None:
+    if not 0.0 < cutoff < 0.5 * rate:
+        raise UsageError(
+            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
+            f" {0.5 * rate:g} Hz"
+        )
 
 
 def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
@@ -95,11 +99,7 @@ def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array
     1979), so lambda follows from -3 dB at `cutoff` [Hz].
     """
     values = np.asarray(x, dtype=np.float64)
-    if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(
-            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
-            f" {0.5 * rate:g} Hz"
-        )
+    _check_cutoff(cutoff, rate)
     if values.shape[0] < 5:
         raise UsageError(f"a smoothing spline needs at least 5 samples, got {values.shape[0]}")
     # 1 / (1 + lambda w^4) is 1 / sqrt(2) at the cutoff.
@@ -121,7 +121,7 @@ LARGEST_GAIN_ERROR = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class VelocityVerdict:
+class VelocityQuality:
     """Hold lag [s] and gain of the worst joint, and the median noise ratio."""
 
     lag: float
@@ -150,9 +150,9 @@ class VelocityVerdict:
         return abs(self.gain - 1.0) + LARGEST_GAIN_ERROR
 
     def __str__(self) -> str:
-        verdict = "used" if self.helps else "not used"
+        use = "used" if self.helps else "not used"
         return (
-            f"logged velocities {verdict}: they lag the positions' derivative by"
+            f"logged velocities {use}: they lag the positions' derivative by"
             f" {1e3 * self.lag:.2g} ms, gain {self.gain:.3f}, noise {self.noise:.2g} of the"
             " derivative's"
         )
@@ -160,7 +160,7 @@ class VelocityVerdict:
 
 def validate_velocities(
     segments: Sequence[UniformSegment], rate: float, cutoff: float, order: int = 4
-) -> VelocityVerdict | None:
+) -> VelocityQuality | None:
     """Compare logged velocities with positions that are differentiated and low-passed alike.
 
     None if velocities are not logged in every segment, or no segment outlasts the low-pass.
@@ -181,7 +181,7 @@ def validate_velocities(
 
 def compare_velocities(
     pairs: Sequence[tuple[Array, Array, Array, Array]], rate: float
-) -> VelocityVerdict:
+) -> VelocityQuality:
     """Compare logged velocities with the derivative of the positions.
 
     Each of `pairs` holds, for one segment, the low-passed derivative v, the logged velocity w
@@ -211,7 +211,7 @@ def compare_velocities(
     moving = speed > 0.01 * speed.max()
     worst = int(np.abs(np.where(moving, lags, 0.0)).argmax())
     scale = int(np.abs(np.where(moving, gains - 1.0, 0.0)).argmax())
-    return VelocityVerdict(
+    return VelocityQuality(
         float(lags[worst]),
         float(gains[scale]),
         float(np.median(noises[moving])) if moving.any() else np.inf,

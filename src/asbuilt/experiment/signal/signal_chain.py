@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.errors import UsageError
+from asbuilt.ranges import check_choice
 
 Derivative = Literal["central", "gaussian", "savitzky-golay", "spline"]
 Velocity = Literal["auto", "measured", "derived"]
@@ -113,8 +114,7 @@ class SignalChain:
         if self.order < 1:
             raise UsageError(f"the order of the low-pass must be 1 or more, got {self.order}")
         for name, known in chosen.items():
-            if getattr(self, name) not in known:
-                raise UsageError(f"{name} {getattr(self, name)!r} is not one of {', '.join(known)}")
+            check_choice(name, getattr(self, name), known)
 
     @property
     def delays(self) -> tuple[float, ...]:

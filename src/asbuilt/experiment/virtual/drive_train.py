@@ -25,6 +25,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.sensors import PerJoint, spread_per_joint
 from asbuilt.findings import Cure
+from asbuilt.ranges import check_choice
 
 FeedForward = Literal["none", "gravity", "full", "exact"]
 
@@ -168,13 +169,7 @@ class PositionController:
                     value=value,
                     lower=0.0,
                 )
-        if self.feedforward not in get_args(FeedForward):
-            raise UsageError(
-                f"feedforward {self.feedforward!r} is not one of"
-                f" {', '.join(get_args(FeedForward))}",
-                value=self.feedforward,
-                available=get_args(FeedForward),
-            )
+        check_choice("feedforward", self.feedforward, get_args(FeedForward))
         if self.bandwidth > self.rate / 20:
             raise UsageError(
                 f"the bandwidth of a controller of {self.rate:g} Hz must be at most a twentieth,"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -28,24 +28,17 @@ PLACEHOLDER = LinkInertia.from_com(1.0, [0.1, 0.2, 0.3], _AXES @ np.diag([2.0, 3
 """Inertia compiled in place of an inconsistent one, then overwritten; its axes are general."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stiffness:
-    """Hold how stiff the constraints of MuJoCo are, and which steps are stable."""
-
-    friction_impedance: float = 0.9999
-    """Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
-    friction_time: float = 0.002
-    """Time constant of a joint that dry friction stops [s]."""
-    rigid: float = 1e-4
-    """Share of MuJoCo's softness that couplings of joints keep: accelerations to 1e-4; dry friction
-    of the joint that is followed, which shares it, needs no less."""
-    singular: float = 1e-12
-    """Ratio of the eigenvalues of a mass matrix below which it is singular."""
-    stable: float = 2.0
-    """Largest product of step and decay rate; fourth-order Runge-Kutta is stable up to 2.79."""
-
-
-STIFFNESS = Stiffness()
+FRICTION_IMPEDANCE = 0.9999
+"""Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
+FRICTION_TIME = 0.002
+"""Time constant of a joint that dry friction stops [s]."""
+RIGID = 1e-4
+"""Share of MuJoCo's softness that couplings of joints keep: accelerations to 1e-4; dry friction
+of the joint that is followed, which shares it, needs no less."""
+SINGULAR = 1e-12
+"""Ratio of the eigenvalues of a mass matrix below which it is singular."""
+STABLE = 2.0
+"""Largest product of step and decay rate; fourth-order Runge-Kutta is stable up to 2.79."""
 
 
 def import_mujoco(purpose: str = "a virtual robot") -> ModuleType:
@@ -133,18 +126,16 @@ class Physics:
         self.compiled.dof_armature[self.order] = armature
         self.rub(coulomb, viscous)
         # Constraints are as stiff as dry friction: impedance at no and large violation, its shape.
-        impedance = STIFFNESS.friction_impedance
+        impedance = FRICTION_IMPEDANCE
         solimp = [impedance, impedance, 0.001, 0.5, 2.0]
-        solref = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
+        solref = [max(FRICTION_TIME, 2 * timestep), 1.0]
         self.compiled.eq_solimp[:] = solimp
         self.compiled.dof_solimp[:] = solimp
         self.compiled.eq_solref[:] = solref
         self.compiled.dof_solref[:] = solref
         self._parts = max(
             1,
-            math.ceil(
-                timestep * self._fastest_decay(self._sound_mass_matrices()) / STIFFNESS.stable
-            ),
+            math.ceil(timestep * self._fastest_decay(self._sound_mass_matrices()) / STABLE),
         )
         self.compiled.opt.timestep = timestep / self._parts
         self.data: Any = self._mujoco.MjData(self.compiled)
@@ -155,10 +146,10 @@ class Physics:
         kinds = self._mujoco.mjtEq
         in_loops = np.isin(self.compiled.eq_type, [kinds.mjEQ_CONNECT, kinds.mjEQ_WELD])
         held = {*self.compiled.eq_obj1id[in_loops], *self.compiled.eq_obj2id[in_loops]}
-        self.compiled.body_invweight0[sorted(held)] *= STIFFNESS.rigid
+        self.compiled.body_invweight0[sorted(held)] *= RIGID
         by_tendon = self.compiled.eq_type == kinds.mjEQ_TENDON
-        self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= STIFFNESS.rigid
-        self.compiled.dof_invweight0[self.every[coupled]] *= STIFFNESS.rigid
+        self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= RIGID
+        self.compiled.dof_invweight0[self.every[coupled]] *= RIGID
 
     def _take_inertias(self, compiled: RobotModel) -> None:
         """Overwrite the placeholders in a compiled model by the inertias as they are."""
@@ -172,9 +163,7 @@ class Physics:
                     f" {inertia.first_moment.tolist()} kg m; an engine places mass at a centre of"
                     " mass, so give the link some mass"
                 )
-            moments, axes = np.linalg.eigh(inertia.inertia_about_com)
-            if np.linalg.det(axes) < 0:
-                axes[:, 0] *= -1.0
+            moments, axes = inertia.principal_axes
             body = self.compiled.body(link.name)
             body.mass = inertia.mass
             body.ipos = inertia.com
@@ -191,7 +180,7 @@ class Physics:
         ) + np.diag(self.compiled.dof_armature[self.order])
         for M in masses:
             eigenvalues, vectors = np.linalg.eigh(M)
-            if eigenvalues[0] <= STIFFNESS.singular * eigenvalues[-1]:
+            if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
                 worst = self.model.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
                 raise InertiaError(
                     f"the mass matrix of {self.model.name} is not positive definite (smallest"

@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import rotation_from_rpy
 from asbuilt.dynamics import DriveSet, described_drive, inverse_dynamics, mass_matrix
 from asbuilt.dynamics.kinematics import draw_postures_within
@@ -88,19 +88,15 @@ def estimate_torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> 
 def _find_flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
     if at is None:
         return model.tool_link, np.eye(4)
-    links = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
-    frames = {
-        frame.name: (frame.link, frame.placement) for frame in model.frames if frame.link != ROOT
-    }
-    if at not in links | frames:
-        names = [*links, *frames]
+    places = model.moving_places
+    if at not in places:
         raise UsageError(
             f"{model.name} has no moving link or frame {at!r} to carry a tool; it has"
-            f" {', '.join(names)}",
+            f" {', '.join(places)}",
             value=at,
-            available=names,
+            available=[*places],
         )
-    return (frames | links)[at]
+    return places[at]
 
 
 Engine = Literal["mujoco", "inverse-dynamics"]

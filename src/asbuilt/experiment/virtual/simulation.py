@@ -76,7 +76,7 @@ def simulate_recording(
     >>> simulate_recording(bundled_robot("kuka-iiwa7-r800"), motion, rate=100).tau.shape
     (201, 7)
     """
-    model = model if isinstance(model, RobotModel) else load_robot(model)
+    model = load_robot(model)
     robot = VirtualRobot.ideal(model)
     if drive is not None:
         known = parameter_values(model, drive)[len(model.parameters) :]

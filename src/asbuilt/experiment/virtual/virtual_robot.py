@@ -44,6 +44,7 @@ from asbuilt.experiment.virtual.sensors import (
     spread_per_joint,
 )
 from asbuilt.findings import Cure
+from asbuilt.ranges import check_choice
 
 MeasuredTorque = Literal["sensor", "motor", "current"]
 Seed = np.random.Generator | int | None
@@ -153,12 +154,7 @@ class VirtualRobot:
                 value=self.model.joint_names,
                 expected=self.described.joint_names,
             )
-        if self.torque not in ("sensor", "motor", "current"):
-            raise UsageError(
-                f"torque {self.torque!r} is not one of sensor, motor, current",
-                value=self.torque,
-                available=("sensor", "motor", "current"),
-            )
+        check_choice("torque", self.torque, ("sensor", "motor", "current"))
         if not 0.0 <= self.behind <= 1.0:
             raise UsageError(
                 f"the share of friction behind the sensor must be from 0 to 1, got {self.behind}",

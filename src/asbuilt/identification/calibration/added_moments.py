@@ -107,7 +107,8 @@ def identify_added_moments(
             " determined",
             cure=Cure("name the frame that carries it, or move the joints that lift it"),
         )
-    covariance = _jackknife_covariance(blocks, columns)[: len(chosen), : len(chosen)]
+    covariance = jackknife_covariance(blocks) * np.outer(columns.present, columns.present)
+    covariance = covariance[: len(chosen), : len(chosen)]
     if not unloaded:
         covariance = covariance + _propagate_arm_covariance(result, rows, chosen, columns)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -150,14 +151,6 @@ def _build_columns(
         arm = [block[:, :p]] if again else []
         found.append(np.column_stack([block[:, chosen] * is_loaded, *arm, left]))
     return np.vstack(found)
-
-
-def _jackknife_covariance(blocks: Sequence[Array], columns: Scaled) -> Array:
-    """Return the covariance from leaving out one time block at a time."""
-    total = sum(block.T @ block for block in blocks)
-    rests = [total - block.T @ block for block in blocks]
-    found = np.array([Scaled(rest[:-1, :-1]).solve(rest[:-1, -1]) for rest in rests])
-    return jackknife_covariance(found) * np.outer(columns.present, columns.present)
 
 
 def _propagate_arm_covariance(

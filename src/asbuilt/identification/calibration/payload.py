@@ -178,12 +178,7 @@ def choose_payload_frame(model: RobotModel, name: str | None = None) -> tuple[st
     By default the flange, or the link that carries a tool (`RobotModel.tool_link`). Raises
     `UsageError` if no moving link or frame has that name.
     """
-    frames = {link: (i, np.eye(4)) for i, link in enumerate(model.link_names)}
-    frames |= {
-        frame.name: (frame.link, np.array(frame.placement))
-        for frame in model.frames
-        if frame.link >= 0
-    }
+    frames = model.moving_places
     if name is not None:
         if name not in frames:
             raise UsageError(
@@ -496,12 +491,7 @@ def _jackknife(
     if arm == "frozen":
         rows = [_subtract_arm(block, estimates) for block in blocks]
         held = vague
-    total = sum((row.T @ row for row in rows), start=held.T @ held)
-    found = []
-    for row in rows:
-        rest = total - row.T @ row
-        found.append(Scaled(rest[:-1, :-1]).solve(rest[:-1, -1])[-10:])
-    return jackknife_covariance(np.array(found))
+    return jackknife_covariance(rows, held)[-10:, -10:]
 
 
 def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics import BaseParameters
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
@@ -54,13 +55,12 @@ class PayloadRows:
         """
         p = result.n_base
         weights = result.weights
-        kept = ~result.dropped
-        of_link = np.arange(10 * link, 10 * link + 10)
-        columns = np.union1d(result.base.columns, of_link)
-        own, carried = (np.searchsorted(columns, each) for each in (result.base.columns, of_link))
+        kept: Array = np.append(~result.dropped, np.ones(11))
+        columns, *maps = map_to_payload(result.base, link, shift)
+        bare_map, carried_map = (each * kept for each in maps)
         arm = set_link_parameters(result.model, result.base, x[:p])
         chi = arm.parameters.copy()
-        chi[of_link] += shift @ x[p:]
+        chi[10 * link : 10 * link + 10] += shift @ x[p:]
 
         def rows_of(
             information: SquareRootInformation, L: Array
@@ -75,13 +75,6 @@ class PayloadRows:
                     for weight, support, factor in joints
                 ],
             )
-
-        bare_map = np.zeros((p + 1, p + 11))
-        bare_map[:p, :p] = np.diag(kept)
-        bare_map[-1, -1] = 1.0
-        carried_map = np.zeros((len(columns) + 1, p + 11))
-        carried_map[[*own, -1]] = bare_map
-        carried_map[carried, p:-1] = shift
 
         under = accumulate_stream(
             arm.with_parameters(chi),
@@ -98,8 +91,32 @@ class PayloadRows:
         return cls(blocks, joints, under.n_samples, under.n_blocks)
 
 
-def jackknife_covariance(found: Array) -> Array:
-    """Return the covariance (m, m) of values, found (n, m) without one time block at a time."""
+def map_to_payload(base: BaseParameters, link: int, shift: Array) -> tuple[Indices, Array, Array]:
+    """Return columns of arm and payload, and what makes `[W | P | tau]` of rows.
+
+    With a body whose parameters are `shift @ pi` (10,) on a link, the rows are `[columns | tau] M`,
+    and `[W | tau] M_bare` without it, of the p base columns alone.
+    """
+    p = base.n_base
+    of_link = np.arange(10 * link, 10 * link + 10)
+    columns = np.union1d(base.columns, of_link)
+    bare = np.zeros((p + 1, p + 11))
+    bare[np.arange(p + 1), [*range(p), -1]] = 1.0
+    carried = np.zeros((len(columns) + 1, p + 11))
+    carried[[*np.searchsorted(columns, base.columns), -1]] = bare
+    carried[np.searchsorted(columns, of_link), p:-1] = shift
+    return columns, bare, carried
+
+
+def jackknife_covariance(blocks: Sequence[Array], held: Array | None = None) -> Array:
+    """Return the covariance (m, m) of what rows `[A | y]` determine, without a block at a time.
+
+    Rows that are `held`, as of a prior, stay.
+    """
+    grams = [block.T @ block for block in blocks]
+    total = np.asarray(sum(grams if held is None else [held.T @ held, *grams]))
+    rests = (total - gram for gram in grams)
+    found = np.array([Scaled(rest[:-1, :-1]).solve(rest[:-1, -1]) for rest in rests])
     apart = found - found.mean(axis=0)
     return np.asarray((len(found) - 1) / len(found) * apart.T @ apart)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,20 +14,22 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment import Recording, Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import choose_payload_frame
+from asbuilt.identification.calibration.payload_rows import map_to_payload
 from asbuilt.identification.estimators.held_out_choice import group_motions
 from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
+from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.information.triangular import (
-    GrowingFactor,
+    solve_factor,
     triangular_factor,
     widen_factor,
 )
 from asbuilt.identification.uncertainty.block_scatter import BlockScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
+from asbuilt.scaled import Scaled
 
 # Hold how gains are iterated, and when they are determined.
 
@@ -41,8 +42,6 @@ GAIN_LARGEST_ERROR = 0.25
 # Gain, in units of the median joint's, beyond which nothing bounds it: no two drives of a robot
 # differ as much
 GAIN_RUNAWAY = 1e4
-# Singular value of scaled columns, relative to the largest, that counts as zero
-GAIN_RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,33 +291,30 @@ class _Problem:
         base = find_base_parameters(model, drive)
         self._n = model.n_joints
         self._p = base.n_base
-        of_link = np.arange(10 * link, 10 * link + 10)
-        union = np.union1d(base.columns, of_link)
-        own, carried = (np.searchsorted(union, each) for each in (base.columns, of_link))
-        plan = RegressorPlan.of(model, drive, union, spare_rows=1)
+        columns, bare, carried = map_to_payload(base, link, to_link)
+        groups = (
+            ("without", unloaded, base, bare),
+            ("with", loaded, replace(base, columns=columns), carried),
+        )
         self.blocks: list[list[Array]] = []
         self.times: list[TimeBlock] = []
-        loads: set[bool] = set()
-        for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
-            for part in divide_into_blocks(model, [samples]):
-                growing = [GrowingFactor(len(support) + 1) for support in plan.support]
-                for chunk in part.chunks(plan):
-                    for factor, added in zip(growing, chunk, strict=True):
-                        factor.append(added)
-                block = []
-                for support, factor in zip(plan.support, growing, strict=True):
-                    rows = widen_factor(factor.factor(), support, len(union))
-                    payload = under * rows[:, carried] @ to_link
-                    block.append(np.hstack([rows[:, own], payload, rows[:, -1:]]))
-                self.blocks.append(block)
-                self.times.append(part.time)
-                loads.add(under)
-        if len(loads) < 2:
-            raise IdentifiabilityError(
-                f"no samples of {model.name} {'with' if False in loads else 'without'} the payload"
-                " are left: every contiguous segment is shorter than the filter needs",
-                cure=Cure("record longer, or raise the cutoff"),
-            )
+        for how, recordings, parameters, of_columns in groups:
+            if not any(True for _ in divide_into_blocks(model, recordings)):
+                raise IdentifiabilityError(
+                    f"no samples of {model.name} {how} the payload are left: every contiguous"
+                    " segment is shorter than the filter needs",
+                    cure=Cure("record longer, or raise the cutoff"),
+                )
+            information = accumulate_stream(model, parameters, recordings)
+            self.times += information.blocks
+            for block in zip(*information.factors, strict=True):
+                joints = zip(information.support, block, strict=True)
+                self.blocks.append(
+                    [
+                        widen_factor(rows, support, len(of_columns) - 1) @ of_columns
+                        for support, rows in joints
+                    ]
+                )
 
     def solve(self, given: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Return arm and payload, 1 / gain and noise (n,) by reweighted Gauss-Newton on 1 / gain.
@@ -415,11 +411,12 @@ class _Problem:
         free = self._select_free(known)
         p = self._p
         parts = [self._linearise(block, theta, inverse, sigma, free) for block in self.blocks]
-        whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
-        root, lost = _invert_root(whole)
         grams = np.array([matrix.T @ matrix for matrix, _ in parts])
+        columns = Scaled(grams.sum(axis=0))
+        root = columns.inverse_root
+        energy = sum(float(errors @ errors) for _, errors in parts)
         n_rows = self._n * sum(block.n_samples for block in self.times)
-        variance = float(errors @ errors) / max(n_rows - root.shape[1], 1)
+        variance = energy / max(n_rows - root.shape[1], 1)
         data = BlockScores(
             root.T @ grams @ root,
             np.array([error @ matrix for matrix, error in parts]) @ root,
@@ -430,27 +427,10 @@ class _Problem:
         )
         own = root[-self._n :]
         found = np.maximum(estimate_scatter(data, own).variance, variance * np.sum(own**2, axis=1))
-        return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / inverse**2
-
-
-def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return L (p, r) with `L L^T = (A^T A)^+` in scaled columns, and which unknowns are lost."""
-    sizes = _measure_columns(matrix)
-    _, s, axes = np.linalg.svd(triangular_factor(matrix / sizes))
-    kept = s > GAIN_RANK_TOLERANCE * s[0]
-    # Part of an unknown in directions without information beyond which nothing bounds it.
-    lost = np.sum(axes[~kept] ** 2, axis=0) > 1e-6
-    return (axes[kept] / s[kept, None]).T / sizes[:, None], lost
+        return np.where(columns.determined[-self._n :], np.sqrt(found), np.inf) / inverse**2
 
 
 def _solve_least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
-    sizes = _measure_columns(matrix)
-    solution = np.linalg.lstsq(matrix / sizes, target, rcond=GAIN_RANK_TOLERANCE)[0]
-    return np.asarray(solution / sizes, dtype=np.float64)
-
-
-def _measure_columns(matrix: Array) -> Array:
-    """Return the lengths of columns, 1 for zero columns."""
-    sizes: Array = np.linalg.norm(matrix, axis=0)
-    return np.where(sizes == 0.0, 1.0, sizes)
+    rows = np.column_stack([matrix, target])
+    return solve_factor(triangular_factor(rows), len(rows)).x

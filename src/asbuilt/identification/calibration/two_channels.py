@@ -326,7 +326,7 @@ def _combine_sides(
     regrouping[:p, :first] = base.regrouping
     regrouping[p:, first:] = np.eye(m)
     why = "the difference between motor and sensor torque holds the motor side alone"
-    verdicts = [
+    identifiable = [
         StandardParameter(first + j + 1, name, "identifiable", (first + j + 1,), f"{name}: {why}")
         for j, name in enumerate(names)
     ]
@@ -338,5 +338,5 @@ def _combine_sides(
         columns=np.concatenate([base.columns, np.arange(first, first + m)]),
         regrouping=regrouping,
         symbolic_rows=partial(list, [*base.symbolic_rows(), *alone]),
-        verdicts=partial(tuple, [*base.standard, *verdicts]),
+        classified=partial(tuple, [*base.standard, *identifiable]),
     )

@@ -33,6 +33,7 @@ from asbuilt.identification.information.rows import (
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    is_triangular,
     shorten_columns,
     shorten_rows,
     stack_blocks,
@@ -470,7 +471,7 @@ def _find_spans(places: Indices) -> tuple[tuple[slice, slice], ...]:
 def _reduce_blocks(factors: Array) -> Array:
     """Return the rows of all blocks (B, m, q) together, or their triangular factor if shorter."""
     only = factors[0]
-    if len(factors) == 1 and only.shape[0] == only.shape[1] and not np.any(np.tril(only, -1)):
+    if len(factors) == 1 and is_triangular(only):
         # Signs of the rows are arbitrary, as in any triangular factor.
         return np.asarray(only * np.where(np.diag(only) < 0.0, -1.0, 1.0)[:, None])
     return shorten_rows(factors.reshape(-1, factors.shape[-1]))

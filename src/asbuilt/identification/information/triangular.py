@@ -78,6 +78,11 @@ def stack_blocks(blocks: Sequence[Array]) -> Array:
     return stacked
 
 
+def is_triangular(rows: Array) -> bool:
+    """Return whether rows (m, p) are an upper triangular factor (p, p) already."""
+    return len(rows) == rows.shape[1] and not np.any(np.tril(rows, -1))
+
+
 def shorten_rows(rows: Array) -> Array:
     """Return rows (m, p), or their triangular factor if that has fewer."""
     return triangular_factor(rows) if len(rows) > rows.shape[1] else rows

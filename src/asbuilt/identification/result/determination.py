@@ -55,7 +55,7 @@ class DeterminationThresholds:
     """States drawn of each kind of motion."""
     helps: float = 0.5
     """Largest ratio of the errors after and before with which a motion is advised."""
-    undetermined: float = 1e-8
+    added: float = 1e-8
     """Information added in every direction, relative to a parameter's own, so errors are finite."""
     slow: float = 0.05
     """Speed of a slow motion as a fraction of the velocity limit."""
@@ -383,7 +383,7 @@ def _predict_errors(
     """Return the standard errors of the weak parameters, and the scaling used."""
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    whitened = information * np.outer(size, size) + LIMITS.undetermined * np.eye(len(size))
+    whitened = information * np.outer(size, size) + LIMITS.added * np.eye(len(size))
     return np.sqrt(np.diag(np.linalg.inv(whitened)))[weak] * size[weak], size
 
 

@@ -310,7 +310,7 @@ def _build_parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
 
 def _build_joint_table(result: IdentificationResult) -> Table:
     """Return RMS torque errors of the data fitted and held out, and of CAD."""
-    kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
+    kinds = [joint.torque_unit for joint in result.model.joints]
     mixed = len(set(kinds)) > 1
     unit = "" if mixed else kinds[0]
     # The recording on which CAD is measured, which the verdict goes by, comes first.

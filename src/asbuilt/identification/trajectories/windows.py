@@ -22,7 +22,7 @@ from asbuilt.description.structure.free_base import AXES
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import Recording, Samples
-from asbuilt.experiment.virtual.physics import STIFFNESS
+from asbuilt.experiment.virtual.physics import FRICTION_TIME
 from asbuilt.findings import Cure
 from asbuilt.identification.trajectories.simulated_robot import (
     DriveSignal,
@@ -286,7 +286,7 @@ def add_ground(mujoco: Any, spec: Any, model: RobotModel, ground: Ground, step: 
 
     The simulation takes steps of `step` [s].
     """
-    stiff = [max(STIFFNESS.friction_time, 2.0 * step), 1.0]
+    stiff = [max(FRICTION_TIME, 2.0 * step), 1.0]
     level = quaternion_from_rotation(_complete_axes(find_vertical(model)))
     for contact, normal in zip(model.contacts, ground.normals, strict=True):
         link, placement = model.placed(contact.frame)

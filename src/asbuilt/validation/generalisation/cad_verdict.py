@@ -38,7 +38,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True, slots=True)
-class JointVerdict:
+class JointComparison:
     """Hold the RMS torque errors at a joint, CAD's and as built, and how sure their order is.
 
     `sigmas` is the mean over time blocks of CAD's squared error minus that as built, over the sum
@@ -63,8 +63,8 @@ class PredictionVerdict:
 
     source: str
     n_blocks: int
-    whole: JointVerdict
-    joints: tuple[JointVerdict, ...]
+    whole: JointComparison
+    joints: tuple[JointComparison, ...]
 
     @property
     def is_worse(self) -> bool:
@@ -227,16 +227,16 @@ def _test_gains(gains: Array) -> tuple[Array, Array]:
 
 def _make_verdict(
     joint: str, unit: str, cad: float, built: float, sigmas: float, p: float, strict: float
-) -> JointVerdict:
+) -> JointComparison:
     known = bool(np.isfinite(sigmas))
     # An order of means that the RMS errors contradict is one of few blocks.
     sure = known and strict <= VERDICT_LEVEL and (sigmas > 0) == (built < cad)
     outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
     if not known:
-        return JointVerdict(joint, unit, cad, built, None, None, None, outcome)
-    return JointVerdict(joint, unit, cad, built, float(sigmas), float(p), float(strict), outcome)
+        return JointComparison(joint, unit, cad, built, None, None, None, outcome)
+    return JointComparison(joint, unit, cad, built, float(sigmas), float(p), float(strict), outcome)
 
 
-def _word_joint(joint: JointVerdict) -> str:
+def _word_joint(joint: JointComparison) -> str:
     errors = f"{round_significant(joint.as_built)} for {round_significant(joint.cad)}"
     return f"{joint.joint} ({errors} {joint.unit})"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -88,25 +87,19 @@ def _measure_range_share(values: Array, limits: Array) -> Array:
     return np.where(known, values / np.where(known, limits, 1.0), np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class Nearness:
-    """Say when two states of a robot are near each other; own choices, tested on real robots.
+# Say when two states of a robot are near each other; own choices, tested on real robots. Each joint
+# must be within `NEAR_POSITION` of its range and `NEAR_VELOCITY` of its top speed in the training
+# motion at once.
 
-    Each joint must be within `position` of its range and `velocity` of its top speed in the
-    training motion at once. At most `most_states` of either motion are looked at, evenly spread;
-    with fewer than `fewest_joints`, different motions pass near each other anyway. A motion repeats
-    another if it comes near to a share of `repeated` of its states: 0 to 0.2 for other motions, 0.5
-    for 2 s blocks of a slow one.
-    """
-
-    position: float = 0.03
-    velocity: float = 0.1
-    most_states: int = 20_000
-    fewest_joints: int = 3
-    repeated: float = 0.6
-
-
-NEAR = Nearness()
+NEAR_POSITION = 0.03
+NEAR_VELOCITY = 0.1
+MOST_STATES = 20_000
+"""States of either motion that are looked at, evenly spread."""
+FEWEST_JOINTS = 3
+"""Joints with fewer than which different motions pass near each other anyway."""
+REPEATED = 0.6
+"""Share of its states to which a motion comes near that it repeats: 0 to 0.2 for other motions, 0.5
+for 2 s blocks of a slow one."""
 
 
 def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
@@ -114,15 +107,15 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
 
     All joints must be near at the same time; 0 for robots of one or two joints.
     """
-    if held_out.q.shape[1] < NEAR.fewest_joints:
+    if held_out.q.shape[1] < FEWEST_JOINTS:
         return 0.0
     q, qd = _stack_states(fitted)
     joints = held_out.q.shape[1]
     fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
-    size = np.concatenate([NEAR.position * np.ptp(q, axis=0), NEAR.velocity * fastest])
+    size = np.concatenate([NEAR_POSITION * np.ptp(q, axis=0), NEAR_VELOCITY * fastest])
     moving = size > 0.0
     # Too few joints move: other motions pass near by chance.
-    if not moving[:joints].sum() >= NEAR.fewest_joints:
+    if not moving[:joints].sum() >= FEWEST_JOINTS:
         return 0.0
     before = _thin_states(q, qd)
     after = _thin_states(*_stack_states([held_out]))
@@ -140,7 +133,7 @@ def repeats(one: Samples, other: Samples) -> bool:
     """Return whether two recordings are of one motion: one comes near most states of the other."""
     # Either way: a short recording may lie within a long one.
     shares = (measure_repeated_share([a], b) for a, b in ((one, other), (other, one)))
-    return any(share > NEAR.repeated for share in shares)
+    return any(share > REPEATED for share in shares)
 
 
 def _stack_states(samples: Sequence[Samples]) -> list[Array]:
@@ -154,7 +147,7 @@ def _stack_states(samples: Sequence[Samples]) -> list[Array]:
 
 def _thin_states(q: Array, qd: Array) -> Array:
     """Return states (q, qd), evenly spread."""
-    step = max(1, len(q) // NEAR.most_states)
+    step = max(1, len(q) // MOST_STATES)
     return np.hstack([q[::step], qd[::step]])
 
 
@@ -182,5 +175,5 @@ def check_repetitions(
             Cure("validate on another motion"),
         )
         for samples in validation
-        if (share := measure_repeated_share(training, samples)) > NEAR.repeated
+        if (share := measure_repeated_share(training, samples)) > REPEATED
     )

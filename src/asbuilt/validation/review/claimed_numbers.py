@@ -17,7 +17,7 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 
 DRIVE_WORDS = {"armature": "armature", "viscous": "damping", "coulomb": "friction loss"}
 """What simulators call the parameter of a drive term."""
-ClaimVerdict = Literal["supported", "contradicted", "undetermined"]
+ClaimStatus = Literal["supported", "contradicted", "undetermined"]
 AXES = "xyz"
 UPPER = tuple((a, b) for a in range(3) for b in range(a, 3))
 WIDEST = 1e3
@@ -65,7 +65,7 @@ class Claim:
     claimed: float
     estimate: float | None = None
     std_error: float | None = None
-    verdict: ClaimVerdict = "undetermined"
+    verdict: ClaimStatus = "undetermined"
     alias_of: tuple[str, ...] = ()
     torque: float | None = None
     p_value: float | None = None

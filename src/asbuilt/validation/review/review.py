@@ -23,7 +23,7 @@ from asbuilt.validation.prediction import LETTERS, Validation
 from asbuilt.validation.review.claimed_numbers import (
     Claim,
     ClaimedNumber,
-    ClaimVerdict,
+    ClaimStatus,
     Profile,
     list_claimed_numbers,
     profile_numbers,
@@ -37,7 +37,7 @@ from asbuilt.validation.review.control_claims import (
     select_control_findings,
 )
 
-ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
+ORDER: tuple[ClaimStatus, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
 """Plausible errors of masses, centres and inertias of a description; own choice."""
 NOT_NEGATIVE = (
@@ -117,7 +117,7 @@ class Review:
         """The findings without which the verdicts cannot be read."""
         return select_control_findings(self.findings)
 
-    def count(self, verdict: ClaimVerdict) -> int:
+    def count(self, verdict: ClaimStatus) -> int:
         """Return the number of claims with a verdict."""
         return sum(claim.verdict == verdict for claim in self.claims)
 

@@ -22,7 +22,7 @@ from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError, export_parameters
+from asbuilt.validation.verdicts.model_errors import Measure, ModelErrors, export_parameters
 
 SAME_EFFECT = {
     "clock_wrong": "clock",
@@ -69,7 +69,7 @@ def list_reasons_against(
     findings: Sequence[Finding],
     validations: Sequence[Validation],
     simulated: Rollout | None,
-    error: VerdictError,
+    error: ModelErrors,
     measure: Measure,
     joints: Sequence[JointUse] = (),
     *,
@@ -125,7 +125,7 @@ def _list_load_reasons(validations: Sequence[Validation]) -> Iterator[Reason]:
             yield Reason("payload_in_log", f"{name} {validation.load.text}")
 
 
-def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reason]:
+def _list_error_reasons(error: ModelErrors, measure: Measure) -> Iterator[Reason]:
     """Yield that CAD is better, or that little of the torque is explained."""
     found = error.decisive
     cad = error.cad

@@ -1,4 +1,4 @@
-"""Verdict on an identified model: whether to use it, the number behind it, and what speaks against.
+"""Verdict on a model or a payload: whether to use it, the number behind it, what speaks against.
 
 It is about the robot that exports carry, on motion that the fit has not seen.
 """
@@ -17,6 +17,14 @@ from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.position_errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
+from asbuilt.validation.verdicts.model_errors import (
+    Measure,
+    ModelErrors,
+    choose_decisive_rollout,
+    find_exported,
+    find_worst_torque_error,
+    summarise_rollout_error,
+)
 from asbuilt.validation.verdicts.reasons import (
     OF_MOTION,
     RULES,
@@ -27,14 +35,6 @@ from asbuilt.validation.verdicts.reasons import (
     is_untested,
     list_reasons_against,
     list_reasons_against_bodies,
-)
-from asbuilt.validation.verdicts.verdict_error import (
-    Measure,
-    VerdictError,
-    choose_decisive_rollout,
-    find_as_built,
-    find_worst_torque_error,
-    summarise_rollout_error,
 )
 
 OPENING: dict[Use, str] = {
@@ -83,7 +83,7 @@ class Verdict:
 
     use: Use
     text: str
-    error: VerdictError
+    error: ModelErrors
     measure: Measure
     reasons: tuple[str, ...] = ()
     joints: tuple[JointUse, ...] = ()
@@ -143,7 +143,7 @@ def study_verdict(
         use,
         _write_verdict(use, reasons, bodies, outcome, _word_mass(result)),
         # The error of what was fitted is no promise, so an untested model has none.
-        VerdictError(None, None, error.cad) if untested else error,
+        ModelErrors(None, None, error.cad) if untested else error,
         measure,
         tuple(dict.fromkeys(reason.code for reason in (*reasons, *of_bodies))),
         joints,
@@ -198,7 +198,7 @@ def _choose_named(reasons: Sequence[Reason]) -> list[str]:
 def _word_outcome(
     result: IdentificationResult,
     simulated: Rollout | None,
-    error: VerdictError,
+    error: ModelErrors,
     motion: str,
     *,
     untested: bool,
@@ -235,7 +235,7 @@ def _format_percent(value: float | None) -> str:
     return format_share(value, 2 if value is not None and value < FINE else 1)
 
 
-def _word_rollout(result: IdentificationResult, simulated: Rollout, error: VerdictError) -> str:
+def _word_rollout(result: IdentificationResult, simulated: Rollout, error: ModelErrors) -> str:
     unit = position_unit(result.model)
     size = "one that diverges" if error.decisive is None else f"{1e3 * error.decisive:.3g} {unit}"
     cad = "" if error.cad is None else f" (CAD {round_significant(1e3 * error.cad)})"
@@ -244,7 +244,7 @@ def _word_rollout(result: IdentificationResult, simulated: Rollout, error: Verdi
 
 def _word_mass(result: IdentificationResult) -> str:
     """Return that nothing can be exported, or the mass of links and CAD's if that is determined."""
-    found = find_as_built(result)
+    found = find_exported(result)
     if found is None:
         return ", and no robot can be exported"
     if not found.consistent:

@@ -86,10 +86,10 @@ def convert_robot(
     InertiaError
         If a URDF or an MJCF file is asked for and the inertia of a link is physically inconsistent.
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    if Path(path).suffix.lower() not in FORMATS:
+    model = load_robot(robot)
+    if Path(path).suffix.lower() not in TITLES:
         raise UsageError(
-            f"{path} names no format to write; its suffix must be one of {', '.join(FORMATS)}",
+            f"{path} names no format to write; its suffix must be one of {', '.join(TITLES)}",
             value=str(path),
         )
     if model.locked_joints:
@@ -107,7 +107,7 @@ def convert_robot(
     return Conversion(model, written, notes, apart)
 
 
-FORMATS = {".toml": "", ".urdf": "URDF", ".xml": "MJCF", ".mjcf": "MJCF"}
+TITLES = {".toml": "", ".urdf": "URDF", ".xml": "MJCF", ".mjcf": "MJCF"}
 """Name of the format of each suffix; the robot file needs none."""
 
 
@@ -115,7 +115,7 @@ def _write_as_named(
     path: str | os.PathLike[str], model: RobotModel
 ) -> tuple[Path, tuple[str, ...]]:
     """Write a robot in the format of a suffix; return the file, and notes on what it lacks."""
-    title = FORMATS[Path(path).suffix.lower()]
+    title = TITLES[Path(path).suffix.lower()]
     if not title:
         return write_robot_toml(path, model), ()
     written, notes = (write_urdf if title == "URDF" else write_mjcf)(path, model)

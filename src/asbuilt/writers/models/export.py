@@ -20,7 +20,7 @@ from asbuilt.identification.information.random_states import build_random_motion
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import round_significant
-from asbuilt.validation.verdicts.verdict_error import NearestModel, compare_with_nearest
+from asbuilt.validation.verdicts.model_errors import NearestModel, compare_with_nearest
 from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     as_built,

@@ -22,7 +22,7 @@ from asbuilt.identification.bodies.consistency import find_inconsistency
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import SIGNIFICANT_SIGMAS, round_significant
 from asbuilt.validation.comparison.significance import chi_square
-from asbuilt.validation.verdicts.verdict_error import POOR, NearestModel
+from asbuilt.validation.verdicts.model_errors import POOR_ERROR, NearestModel
 
 CURE = Cure(
     "identify with physical consistency, identify the base tilt, change the drive terms, or export"
@@ -180,7 +180,7 @@ def refuse_poor_nearest_model(
         why = f"on {cost.judged_by}, {cost.objection()}"
     else:
         grown = _measure_error_growth(result, beta)
-        poor = grown > POOR.error
+        poor = grown > POOR_ERROR
         why = (
             f"its error on the training data is {round_significant(grown)} times the identified"
             " model's"

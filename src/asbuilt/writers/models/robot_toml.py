@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_toml, format_toml_key
 from asbuilt.description.formats.mjcf_text import reference_posture
 from asbuilt.description.inertia import PARAMETER_NAMES, LinkInertia
 from asbuilt.description.lengths import evaluate_lengths
@@ -236,34 +236,15 @@ def _write_block(name: str, fields: Mapping[str, Any]) -> str:
 
 def _write_fields(fields: Mapping[str, Any]) -> str:
     """Return a line for each field that is there."""
-    return "\n".join(_list_items(fields))
-
-
-def _list_items(fields: Mapping[str, Any]) -> list[str]:
-    return [
-        f"{_write_key(name)} = {_write_value(value)}"
+    return "\n".join(
+        f"{format_toml_key(name)} = {format_toml(_drop_absent(value))}"
         for name, value in fields.items()
         if value is not None
-    ]
-
-
-def _write_value(value: Any) -> str:
-    """Return a value on one line, as `tomli_w` does not write tables and lists."""
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(_list_items(value))}}}"
-    if isinstance(value, list | tuple | np.ndarray):
-        return f"[{', '.join(map(_write_value, value))}]"
-    if isinstance(value, bool | str):
-        # Behind "x = ": tomli_w knows how to quote, and ends with a line break.
-        return tomli_w.dumps({"x": value})[4:].rstrip("\n")
-    # Adding zero takes the sign from -0.0.
-    return repr(float(value) + 0.0)
-
-
-def _write_key(name: str) -> str:
-    return (
-        name
-        # Bare keys of TOML are ASCII letters, digits, - and _; all else is quoted.
-        if name.replace("_", "").replace("-", "").isalnum() and name.isascii()
-        else _write_value(name)
     )
+
+
+def _drop_absent(value: Any) -> Any:
+    """Return a table without the fields that are not there."""
+    if not isinstance(value, Mapping):
+        return value
+    return {name: _drop_absent(part) for name, part in value.items() if part is not None}

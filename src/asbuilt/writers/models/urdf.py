@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_numbers
 from asbuilt.description import ROOT, Joint, Link, LinkInertia, Mimic, RobotModel
 from asbuilt.description.rotation import (
     compose_placements,
@@ -181,12 +182,12 @@ def _add_link(root: Element, link: Link, shift: Array) -> None:
         return
     inertial = SubElement(element, "inertial")
     tensor = inertia.inertia_about_com
-    SubElement(inertial, "origin", xyz=_write_numbers(inertia.com), rpy="0 0 0")
-    SubElement(inertial, "mass", value=_write_numbers([inertia.mass]))
+    SubElement(inertial, "origin", xyz=format_numbers(inertia.com), rpy="0 0 0")
+    SubElement(inertial, "mass", value=format_numbers([inertia.mass]))
     SubElement(
         inertial,
         "inertia",
-        {name: _write_numbers([tensor[place]]) for name, place in TENSOR.items()},
+        {name: format_numbers([tensor[place]]) for name, place in TENSOR.items()},
     )
 
 
@@ -202,7 +203,7 @@ def _add_joint(
     kind = "prismatic" if not joint.is_revolute else "revolute" if limited else "continuous"
     element = _connect_links(root, joint.name, kind, parent, child, origin)
     # z of the joint's frame in axes of the URDF's link: row 2 of that rotation.
-    SubElement(element, "axis", xyz=_write_numbers((joint.after @ invert_placement(shift))[2, :3]))
+    SubElement(element, "axis", xyz=format_numbers((joint.after @ invert_placement(shift))[2, :3]))
     bounds = (
         {}
         if kind == "continuous"
@@ -223,11 +224,11 @@ def _add_joint(
             element,
             "mimic",
             joint=other,
-            multiplier=_write_numbers([factor]),
-            offset=_write_numbers([joint.mimic.offset]),
+            multiplier=format_numbers([factor]),
+            offset=format_numbers([joint.mimic.offset]),
         )
     given = {
-        name: _write_numbers([value])
+        name: format_numbers([value])
         for name, value in (("damping", drive.viscous), ("friction", drive.coulomb))
         if value is not None
     }
@@ -255,8 +256,8 @@ def _connect_links(
         SubElement(
             element,
             "origin",
-            xyz=_write_numbers(pose[:3, 3]),
-            rpy=_write_numbers(rpy_from_rotation(pose[:3, :3])),
+            xyz=format_numbers(pose[:3, 3]),
+            rpy=format_numbers(rpy_from_rotation(pose[:3, :3])),
         )
     SubElement(element, "parent", link=parent)
     SubElement(element, "child", link=child)
@@ -273,8 +274,3 @@ def _reserve_name(name: str, taken: set[str]) -> str:
 def _write_bound(value: float) -> str:
     # URDF has no infinity.
     return repr(min(max(float(value), -UNLIMITED), UNLIMITED))
-
-
-def _write_numbers(values: Array | list[float]) -> str:
-    # Adding zero takes the sign from -0.0; repr reads back to the same number.
-    return " ".join(repr(float(value) + 0.0) for value in values)

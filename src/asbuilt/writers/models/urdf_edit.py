@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_number
 from asbuilt.description import LinkInertia, described_text
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
@@ -85,7 +86,7 @@ def edit_urdf(
         edits += _list_inertial_edits(file, links[link.name], own)
     for before, joint in zip(described.joints, plain.joints, strict=True):
         values = {
-            name: _write_number(new)
+            name: format_number(new)
             for name, old, new in (
                 ("damping", before.drive.viscous, joint.drive.viscous),
                 ("friction", before.drive.coulomb, joint.drive.coulomb),
@@ -164,8 +165,8 @@ def note_urdf_limits(model: RobotModel) -> tuple[str, ...]:
 
 
 def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> None:
-    def refuse(what: str) -> None:
-        raise DescriptionError(
+    def mismatch(what: str) -> DescriptionError:
+        return DescriptionError(
             f"{source} describes another robot than {model.name}: {what}",
             cure=Cure("give the URDF that the robot was identified with"),
             file=source,
@@ -188,11 +189,11 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
         ),
     ):
         if not same:
-            refuse(what)
+            raise mismatch(what)
     # Limits and friction may differ: they are what is identified.
     for there, here in zip(described.moving_joints, model.moving_joints, strict=True):
         if there.parent != here.parent or there.is_revolute != here.is_revolute:
-            refuse(
+            raise mismatch(
                 f"joint {here.name!r} is {there.kind} on link index {there.parent}, the model's"
                 f" {here.kind} on {here.parent}"
             )
@@ -202,14 +203,14 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
         )
         # Largest difference of placements [m, 1] in two descriptions of one robot.
         if off > 1e-9:
-            refuse(f"the placement of joint {here.name!r} differs by {off:.3g}")
+            raise mismatch(f"the placement of joint {here.name!r} differs by {off:.3g}")
 
 
 def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
     # One place each, since the tensor is symmetric.
     tensor = inertia.inertia_about_com
-    com = " ".join(map(_write_number, inertia.com))
-    moments = {name: _write_number(tensor[place]) for name, place in TENSOR.items()}
+    com = " ".join(map(format_number, inertia.com))
+    moments = {name: format_number(tensor[place]) for name, place in TENSOR.items()}
     inertial = link.first("inertial")
     # A link without inertial in the file has been identified nonetheless.
     if inertial is None:
@@ -217,7 +218,7 @@ def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> lis
         attributes = " ".join(f'{name}="{value}"' for name, value in moments.items())
         parts = (
             f'<{tag("origin")} xyz="{com}" rpy="0 0 0"/><{tag("mass")}'
-            f' value="{_write_number(inertia.mass)}"/><{tag("inertia")} {attributes}/>'
+            f' value="{format_number(inertia.mass)}"/><{tag("inertia")} {attributes}/>'
         )
         return [file.prepended(link, f"<{tag('inertial')}>{parts}</{tag('inertial')}>")]
     origin, mass, moment = (inertial.first(tag) for tag in ("origin", "mass", "inertia"))
@@ -227,7 +228,7 @@ def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> lis
         )
     edits = list_attribute_edits(
         mass,
-        {"value": _write_number(inertia.mass)},
+        {"value": format_number(inertia.mass)},
         # A URDF without <origin> has the centre of mass at the link's origin.
     ) + list_attribute_edits(moment, moments)
     if origin is None:
@@ -280,8 +281,3 @@ def _lock_alike(described: RobotModel, model: RobotModel) -> RobotModel:
         if name in {joint.name for joint in described.moving_joints}
     }
     return described.locked(held)
-
-
-def _write_number(value: float) -> str:
-    # Adding zero takes the sign from -0.0.
-    return repr(float(value) + 0.0)

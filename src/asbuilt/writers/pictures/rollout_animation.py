@@ -69,7 +69,7 @@ def view_robot(
     >>> view_robot("two-link", save=folder / "robot.png").name
     'robot.png'
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model = load_robot(robot)
     moved = motion if motion is None or isinstance(motion, Motion) else read_motion(motion, model)
     if save is not None and Path(save).suffix.lower() != ".html":
         return write_picture(save, model, moved, progress=progress)

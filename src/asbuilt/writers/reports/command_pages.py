@@ -125,12 +125,12 @@ def draw_joint_figures(design: Design | StaticDesign) -> list[Figure]:
     lower = (bounds.lower, *(-limit for limit in upper[1:]))
     figures = []
     for j, joint in enumerate(model.joints):
-        unit, of_torque = ("rad", "N m") if joint.is_revolute else ("m", "N")
+        unit = joint.unit
         names = (
             f"position\n{unit}",
             f"velocity\n{unit}/s",
             f"acceleration\n{unit}/s\u00b2",
-            f"torque\n{of_torque}",
+            f"torque\n{joint.torque_unit}",
         )
         with open_figure(4.6, 5.4, rows=4, sharex=True) as (figure, all_axes):
             curves = zip(all_axes, (q, qd, qdd, torque), lower, upper, names, strict=True)

@@ -82,13 +82,19 @@ def cards_markup(cards: Sequence[Card]) -> Markup:
     return section_markup('{% include "cards.html.j2" %}', {"cards": cards})
 
 
-def list_markup(items: Iterable[str | tuple[str, str]]) -> Markup:
-    """Return texts as a list; of a pair the first is the class of the line, such as a severity."""
+def list_markup(items: Iterable[str | tuple[str, str]], heading: str = "") -> Markup:
+    """Return texts as a list; of a pair the first is the class of the line, such as a severity.
+
+    Nothing, and no heading, where there are none.
+    """
     lines = [("", item) if isinstance(item, str) else item for item in items]
-    return section_markup(LINES, {"lines": lines}) if lines else Markup("")
+    return section_markup(LINES, {"lines": lines, "heading": heading}) if lines else Markup("")
 
 
 LINES = """\
+{% if heading %}
+<h3>{{ heading }}</h3>
+{% endif %}
 <ul class="sentences">
 {% for kind, text in lines %}
 <li{% if kind %} class="{{ kind }}"{% endif %}>{{ text }}</li>

@@ -213,6 +213,9 @@ class Section:
     folded: bool = False
 
 
+PARTS = "{% for part in parts %}{{ part }}\n{% endfor %}"
+"""Template of a section that is made of drawings, lists and tables, one after another."""
+
 sections: Registry[Section] = Registry(
     "report section", "asbuilt.writers.reports.sections", "asbuilt.report_sections"
 )

@@ -225,7 +225,7 @@ def _build_pose_table(design: StaticDesign) -> Table:
     if sum(max(len(name), 7) + 2 for name in names) + 4 > WIDTH:
         names = tuple(f"joint {k}" for k in range(1, len(names) + 1))
     heads = [
-        Column(name, "rad" if joint.is_revolute else "m", "decimal", ".3f")
+        Column(name, joint.unit, "decimal", ".3f")
         for name, joint in zip(names, design.model.joints, strict=True)
     ]
     rows = tuple((k, *pose) for k, pose in enumerate(design.poses.tolist(), 1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,26 +43,18 @@ def payload_text(payload: Payload, full: bool = False) -> str:
 def tabulate_payload(payload: Payload) -> Table:
     """Return mass, centre of mass and inertia about it, with standard errors."""
     parts = (("noise", payload.noise_errors), ("gains", payload.gain_errors))
-    columns = (
-        Column("parameter", of=lambda k: payload.names[k]),
-        Column("unit", of=lambda k: UNITS[k]),
-        *_list_estimate_columns(payload.values, payload.std_errors),
-        *(
-            Column(f"of {name}", "", "decimal", 2, of=errors.__getitem__)
-            for name, errors in parts
-            if np.any(payload.gain_uncertainty > 0.0)
-        ),
-        Column(
-            "determined", of=lambda k: "yes" if payload.names[k] in payload.determined else "NO"
-        ),
-    )
+    shares = [
+        Column(f"of {name}", "", "decimal", 2, of=errors.__getitem__)
+        for name, errors in parts
+        if np.any(payload.gain_uncertainty > 0.0)
+    ]
     projected = (
         "The least-squares estimate is physically inconsistent; this is the nearest consistent one,"
         " and inertias at a bound are unreliable."
     )
     return Table.of(
         range(len(payload.names)),
-        columns,
+        _list_columns(payload, UNITS, shares),
         title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples",
         notes=(*([projected] if payload.projected else []), *_describe_gains(payload)),
         details=(
@@ -72,18 +64,28 @@ def tabulate_payload(payload: Payload) -> Table:
     )
 
 
-def _list_estimate_columns(values: Array, errors: Array) -> list[Column]:
-    """Return the columns of an estimate, its standard error, and this in percent, by place."""
+def _list_columns(
+    found: Payload | AddedMoments, units: Sequence[str], further: Sequence[Column] = ()
+) -> tuple[Column, ...]:
+    """Return the columns of what is carried: estimate, standard error, percent, determined."""
+    values = found.values
+    errors = found.std_errors
 
     def cell(part: int) -> Callable[[int], Cell]:
         return lambda k: (
             format_estimate(values[k], errors[k])[part] if np.isfinite(values[k]) else None
         )
 
-    return [
-        Column(head, align="decimal", of=cell(part))
-        for part, head in enumerate(("estimate", "std err", "%"))
-    ]
+    return (
+        Column("parameter", of=lambda k: found.names[k]),
+        Column("unit", of=units.__getitem__),
+        *(
+            Column(head, align="decimal", of=cell(part))
+            for part, head in enumerate(("estimate", "std err", "%"))
+        ),
+        *further,
+        Column("determined", of=lambda k: "yes" if found.names[k] in found.determined else "NO"),
+    )
 
 
 def _describe_gains(payload: Payload) -> tuple[str, ...]:
@@ -173,19 +175,13 @@ def _fill_symmetric(upper: Array) -> list[list[float]]:
 
 def moments_table(found: AddedMoments) -> Table:
     """Return what a weight adds, with standard errors and what is not determined."""
-    columns = (
-        Column("parameter", of=lambda k: found.names[k]),
-        Column("unit", of=lambda k: MOMENT_UNITS[k]),
-        *_list_estimate_columns(found.values, found.std_errors),
-        Column("determined", of=lambda k: "yes" if found.names[k] in found.determined else "NO"),
-    )
     lost = [
         {"m": "the mass alone"}.get(name, f"the first moment {name}")
         for name in found.not_determined
     ]
     return Table.of(
         range(len(found.names)),
-        columns,
+        _list_columns(found, MOMENT_UNITS),
         title=f"{found.robot}: weight on {found.frame}, {found.n_samples} samples",
         notes=(f"This motion does not determine {join_names(lost)}.",) if lost else (),
         details=(f"First moments in the axes of {found.frame}; errors of torque gains scale all.",),

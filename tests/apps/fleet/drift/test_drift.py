@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.fleet import (
+from asbuilt import (
     FleetDrift,
     FleetDriftOptions,
     FleetOptions,

@@ -42,7 +42,6 @@ from asbuilt.validation import benjamini_hochberg
 
 EXAMPLES = 40
 """Robots of a type from which its noise and directions are found."""
-FEWEST_DAYS = DAYS_BEFORE + DAYS_AFTER
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,7 +35,12 @@ from asbuilt.dynamics import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, RecordingError, ResultError
 from asbuilt.experiment import read_isolated
 from asbuilt.findings import Cure
-from asbuilt.identification import SquareRootInformation, TimeBlock, triangular_factor
+from asbuilt.identification import (
+    SquareRootInformation,
+    TimeBlock,
+    is_triangular,
+    triangular_factor,
+)
 
 DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""
@@ -363,18 +368,14 @@ def merge_factors(factors: Array) -> Array:
     The tree depends on m alone, so the result is the same to the last bit wherever it is made; an
     entry takes part in log2(m) mergers, not in m. Short blocks are fewer rows than columns.
     """
-    factors = np.array([_make_triangular(factor) for factor in factors])
+    factors = np.array(
+        [rows if is_triangular(rows) else triangular_factor(rows) for rows in factors]
+    )
     while len(factors) > 1:
         pairs = factors[: len(factors) // 2 * 2].reshape(-1, 2 * factors.shape[1], factors.shape[2])
         merged = np.array([triangular_factor(pair) for pair in pairs])
         factors = np.concatenate([merged, factors[2 * len(pairs) :]])
     return np.asarray(factors[0])
-
-
-def _make_triangular(factor: Array) -> Array:
-    """Return the triangular factor (q, q) of rows (r, q), r <= q; themselves if they are it."""
-    is_factor = len(factor) == factor.shape[1] and not np.any(np.tril(factor, -1))
-    return factor if is_factor else triangular_factor(factor)
 
 
 def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:

@@ -114,7 +114,7 @@ def add_logs(
     options = options or StudyOptions()
     fleet = fleet or FleetOptions()
     ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
-    described = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    described = load_robot(robot)
     if reading.gravity is not None:
         described = described.with_gravity(reading.gravity)
     recordings = group_recording_files(logs)

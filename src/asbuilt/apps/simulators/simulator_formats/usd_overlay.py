@@ -83,9 +83,7 @@ def _write_mass(inertia: LinkInertia) -> Iterator[str]:
     yield f"float physics:mass = {inertia.mass!r}"
     if inertia.mass <= 0.0:
         return
-    moments, axes = np.linalg.eigh(inertia.inertia_about_com)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0
+    moments, axes = inertia.principal_axes
     yield f"point3f physics:centerOfMass = {_write_tuple(inertia.com)}"
     yield f"float3 physics:diagonalInertia = {_write_tuple(moments)}"
     yield f"quatf physics:principalAxes = {_write_tuple(quaternion_from_rotation(axes))}"

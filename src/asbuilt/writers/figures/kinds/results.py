@@ -104,7 +104,7 @@ def draw_joints(
         for k, (axis, joint) in enumerate(zip(own, joints, strict=True)):
             torques = shown.t, shown.measured[:, k], shown.predicted[:, k]
             (draw_errors if residuals else draw_torque)(axis, *torques)
-            axis.set_ylabel(label_torque_axis(joint.name, "N m" if joint.is_revolute else "N"))
+            axis.set_ylabel(label_torque_axis(joint.name, joint.torque_unit))
         for axis in own if residuals else own[:1]:
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
         own[-1].set_xlabel("time [s]")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.codec import format_number
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import (
     BaseParameters,
@@ -359,7 +360,7 @@ def _write_tables(base: BaseParameters, beta: Array, name: str) -> str:
         f"    {{{number}, {', '.join(map(_write_string, words_of))}}}"
         for number, words_of in zip(base.ids, words, strict=True)
     )
-    numbers = ",\n".join(f"    {_write_number(value)}" for value in beta)
+    numbers = ",\n".join(f"    {format_number(value)}" for value in beta)
     return (
         f"const {name}_parameter {name}_base_parameters[{p}] = {{\n{rows}\n}};\n\nconst double"
         f" {name}_base_values[{p}] = {{\n{numbers}\n}};"
@@ -380,7 +381,7 @@ def _write_self_test(
     rounding = max(1e-9, 1e-12 * float(np.abs(tau).max()))
     known = "\n".join(
         f"static const double expected_{key}[{S}][{n}] = {{\n"
-        + ",\n".join(f"    {{{', '.join(map(_write_number, row))}}}" for row in rows)
+        + ",\n".join(f"    {{{', '.join(map(format_number, row))}}}" for row in rows)
         + "\n};"
         for key, rows in arrays.items()
     )
@@ -438,8 +439,3 @@ def _write_string(text: str) -> str:
 def _make_identifier(name: str) -> str:
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return plain if plain and not plain[0].isdigit() else f"robot_{plain}".rstrip("_")
-
-
-def _write_number(value: float) -> str:
-    # Adding zero turns -0.0 into 0.0.
-    return repr(float(value) + 0.0)

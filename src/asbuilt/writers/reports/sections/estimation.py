@@ -5,53 +5,27 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
+from markupsafe import Markup
+
 from asbuilt.identification import FoundEffect, IdentificationResult, method_title
 from asbuilt.identification.screen import format_effect
 from asbuilt.tables import format_share, round_significant
 from asbuilt.validation.comparison.compared_parameter import describe_drive
 from asbuilt.writers.reports.cards import MOODS, make_study_cards
-from asbuilt.writers.reports.report import Report, Section, sections
+from asbuilt.writers.reports.page import (
+    cards_markup,
+    facts_markup,
+    list_markup,
+    paragraph_markup,
+)
+from asbuilt.writers.reports.report import PARTS, Report, Section, sections
 
-ESTIMATION = """\
-{% if findings %}
-<h3>{{ findings | length }} finding{{ "s" if findings | length > 1 else "" }}</h3>
-<ul class="sentences" id="findings">
-{% for finding in findings %}
-<li class="{{ finding.severity }}">{{ finding.text }} <code>{{ finding.code }}</code></li>
-{% endfor %}
-</ul>
-{% endif %}
-<dl class="facts">
-{% for name, value in facts %}
-<div><dt>{{ name }}</dt><dd>{{ value }}</dd></div>
-{% endfor %}
-</dl>
-{% if notes %}
-<h3>How the estimate was chosen</h3>
-<ul class="sentences" id="decisions">
-{% for note in notes %}
-<li>{{ note }}</li>
-{% endfor %}
-</ul>
-{% endif %}
-"""
 IDENTIFIABILITY = """\
 <div id="singular-plot" class="plot"></div>
 <p class="quiet">Singular values of the weighted observation matrix with columns scaled to unit\
  length; the recordings determine {{ rank }} of {{ n_base }} directions.</p>
-<ul class="sentences">
-{% for line in sentences %}
-<li>{{ line }}</li>
-{% endfor %}
-</ul>
-{% if undetermined %}
-<h3>Undetermined directions</h3>
-<ul>
-{% for direction in undetermined %}
-<li><code>{{ direction }}</code></li>
-{% endfor %}
-</ul>
-{% endif %}
+{{ sentences }}
+{{ undetermined }}
 """
 PROVENANCE = """\
 <ol>
@@ -60,14 +34,7 @@ PROVENANCE = """\
 {% endfor %}
 </ol>
 {% if citation_of_robot %}<p>Robot description: {{ citation_of_robot }}</p>{% endif %}
-{% if notes %}
-<h3>Notes of the description</h3>
-<ul>
-{% for note in notes %}
-<li>{{ note }}</li>
-{% endfor %}
-</ul>
-{% endif %}
+{{ notes }}
 {% if command %}
 <h3>To repeat</h3>
 <pre><code>{{ command }}</code></pre>
@@ -77,10 +44,17 @@ PROVENANCE = """\
 
 def _collect_estimation(report: Report) -> dict[str, Any]:
     study = report.study
+    n = len(study.findings)
+    findings = (
+        (finding.severity, Markup("{} <code>{}</code>").format(finding.text, finding.code))
+        for finding in study.findings
+    )
     return {
-        "findings": study.findings,
-        "facts": _list_facts(study.result),
-        "notes": study.result.notes,
+        "parts": [
+            list_markup(findings, f"{n} finding{'s' if n > 1 else ''}"),
+            facts_markup(_list_facts(study.result)),
+            list_markup(study.result.notes, "How the estimate was chosen"),
+        ]
     }
 
 
@@ -119,8 +93,11 @@ def _collect_identifiability(report: Report) -> dict[str, Any]:
     return {
         "rank": result.rank,
         "n_base": result.n_base,
-        "sentences": report.study.determination.sentences,
-        "undetermined": result.undetermined,
+        "sentences": list_markup(report.study.determination.sentences),
+        "undetermined": list_markup(
+            (Markup("<code>{}</code>").format(each) for each in result.undetermined),
+            "Undetermined directions",
+        ),
     }
 
 
@@ -129,15 +106,13 @@ def _collect_provenance(report: Report) -> dict[str, Any]:
     return {
         "provenance": result.provenance,
         "citation_of_robot": result.model.citation,
-        "notes": result.model.notes,
+        "notes": list_markup(result.model.notes, "Notes of the description"),
         "command": shlex.join(report.command),
     }
 
 
 for identifier, section in {
-    "estimation": Section(
-        "Findings and estimation", 35, ESTIMATION, _collect_estimation, folded=True
-    ),
+    "estimation": Section("Findings and estimation", 35, PARTS, _collect_estimation, folded=True),
     "identifiability": Section(
         "Identifiability", 70, IDENTIFIABILITY, _collect_identifiability, folded=True
     ),
@@ -145,17 +120,6 @@ for identifier, section in {
 }.items():
     sections.register(identifier, section)
 
-VERDICT = """\
-<p class="verdict {{ mood }}">{{ text }}</p>
-{% include "cards.html.j2" %}
-{% if findings %}
-<ul class="sentences" id="findings-shown">
-{% for finding in findings %}
-<li class="{{ finding.severity }}">{{ finding.text }}</li>
-{% endfor %}
-</ul>
-{% endif %}
-"""
 EFFECTS = """\
 <p class="quiet">Torque error on held-out groups of different motion without an effect (grey) and\
  with it (colour). An effect that is not in the model is named only.</p>
@@ -175,13 +139,17 @@ EFFECTS = """\
 
 def _collect_verdict(report: Report) -> dict[str, Any]:
     study = report.study
-    findings = [finding for finding in study.findings if finding.severity != "info"]
+    verdict = study.verdict
+    findings = [
+        (finding.severity, finding.text) for finding in study.findings if finding.severity != "info"
+    ]
     return {
-        "text": study.verdict.text,
-        "mood": MOODS[study.verdict.use],
-        "cards": make_study_cards(study),
-        # The first ones; all are in a section of their own.
-        "findings": findings[:5],
+        "parts": [
+            paragraph_markup(verdict.text, f"verdict {MOODS[verdict.use]}"),
+            cards_markup(make_study_cards(study)),
+            # The first ones; all are in a section of their own.
+            list_markup(findings[:5]),
+        ]
     }
 
 
@@ -209,5 +177,5 @@ def _build_row(each: FoundEffect, largest: float) -> dict[str, Any]:
     }
 
 
-sections.register("verdict", Section("Verdict", 10, VERDICT, _collect_verdict))
+sections.register("verdict", Section("Verdict", 10, PARTS, _collect_verdict))
 sections.register("effects", Section("What CAD lacks", 12, EFFECTS, _collect_effects))

@@ -133,8 +133,7 @@ def fill_rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[
             + (f" The first {count} of {first.n_windows}." if count < first.n_windows else "")
         ),
         "joints": [
-            _draw_joint(joint.name, shown, k, "rad" if joint.is_revolute else "m")
-            for k, joint in enumerate(model.joints)
+            _draw_joint(joint.name, shown, k, joint.unit) for k, joint in enumerate(model.joints)
         ],
         "seconds": f"{count * first.horizon:.3g}",
         "starts": [f"{600.0 * w / count:.1f}" for w in range(1, count)],

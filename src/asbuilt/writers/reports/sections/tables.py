@@ -17,7 +17,7 @@ from asbuilt.writers.reports.page import (
     paragraph_markup,
     table_markup,
 )
-from asbuilt.writers.reports.report import Report, Section, sections
+from asbuilt.writers.reports.report import PARTS, Report, Section, sections
 from asbuilt.writers.tables.payload_tables import tabulate_payload, tabulate_payload_torques
 from asbuilt.writers.tables.tabular import exported_masses, feasible_table, mass_table
 
@@ -101,9 +101,6 @@ def _draw_legend(y: int, *, with_truth: bool) -> Iterator[Markup]:
             at = LEFT + 90 * place
             yield _mark(kind, f"M{at} {y} {path}")
             yield Markup('<text x="{}" y="{}">{}</text>').format(at + 14, y + 4, name)
-
-
-PARTS = "{% for part in parts %}{{ part }}\n{% endfor %}"
 
 
 def _collect_parts(tables: dict[str, Table], *before: Any) -> dict[str, Any]:

@@ -29,7 +29,6 @@ from asbuilt.identification.information.square_root_information import (
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
 from asbuilt.scaled import Scaled
-from asbuilt.validation.prediction import torque_units
 
 # Say what a plateau is: settled on virtual UR10e, Panda and iiwa, with noise of 1 %.
 
@@ -107,7 +106,7 @@ def report_plateaus(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Fin
             )
         )
         name = model.joint_names[joint]
-        unit = torque_units(model)[joint]
+        unit = model.joints[joint].torque_unit
         yield Finding(
             "torque_saturates",
             "warning",

@@ -1,4 +1,4 @@
-"""Errors that a verdict goes by: of the fitted model, of the consistent one, and of CAD."""
+"""Errors of the three models of a study: as fitted, as exported, and CAD."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ Measure = Literal["torque", "rollout"]
 
 
 @dataclass(frozen=True, slots=True)
-class VerdictError:
+class ModelErrors:
     """Hold the errors of the fitted model, of the robot that exports carry, and of CAD.
 
     Shares of the torque, or position errors of rollouts [rad or m]; None where there is no such
-    robot, or its simulation diverges.
+    robot, or its simulation diverges. `as_built`, as stored results name it, is the fitted model.
     """
 
     as_built: float | None
@@ -69,12 +69,12 @@ def with_exported(
 
 def export_parameters(result: IdentificationResult) -> Array | None:
     """Return the standard parameters (n_standard,) of the exported robot; None without one."""
-    found = find_as_built(result)
+    found = find_exported(result)
     return found.parameters if found and found.consistent else None
 
 
-def find_as_built(result: IdentificationResult) -> StandardParameters | None:
-    """Return the standard parameters as built; None if no robot has them."""
+def find_exported(result: IdentificationResult) -> StandardParameters | None:
+    """Return the robot that exports carry; None if no robot has the parameters of the fit."""
     try:
         return as_built_parameters(result)
     except (IdentifiabilityError, DescriptionError):
@@ -83,11 +83,11 @@ def find_as_built(result: IdentificationResult) -> StandardParameters | None:
 
 def find_worst_torque_error(
     result: IdentificationResult, validations: Sequence[Validation]
-) -> VerdictError:
+) -> ModelErrors:
     """Return the errors on the recording that is predicted worst, else on the training data."""
     # A CAD without masses predicts nothing, and has no error to be better than.
     rows = [
-        VerdictError(
+        ModelErrors(
             validation.metrics_as_built.relative_error,
             None
             if validation.metrics_exported is None
@@ -100,7 +100,7 @@ def find_worst_torque_error(
     if not rows:
         measured = result.validation[0] if result.validation else result.train
         cad = result.cad.relative_error if np.any(np.nan_to_num(result.cad_values)) else None
-        rows = [VerdictError(measured.relative_error, None, cad)]
+        rows = [ModelErrors(measured.relative_error, None, cad)]
     return max(rows, key=lambda row: row.decisive or 0.0)
 
 
@@ -112,28 +112,21 @@ def choose_decisive_rollout(rollouts: Sequence[Rollout]) -> Rollout | None:
     return (*whole, *reversed(longest), None)[0]
 
 
-def summarise_rollout_error(rollout: Rollout) -> VerdictError:
+def summarise_rollout_error(rollout: Rollout) -> ModelErrors:
     """Return the position errors of a rollout, whose robot as built is the exported one."""
     built = _read_finite_error(rollout.as_built)
-    return VerdictError(built, built, _read_finite_error(rollout.cad))
+    return ModelErrors(built, built, _read_finite_error(rollout.cad))
 
 
 def _read_finite_error(errors: RolloutErrors | None) -> float | None:
     return None if errors is None or errors.diverged else float(errors.rms_all)
 
 
-@dataclass(frozen=True, slots=True)
-class PoorPrediction:
-    """Say when a joint is predicted poorly; own choices.
-
-    Its error exceeds `error` times the identified model's error and `noticeable` of its torque.
-    """
-
-    error: float = 1.5
-    noticeable: float = 0.1
-
-
-POOR = PoorPrediction()
+POOR_ERROR = 1.5
+"""Error of a joint, in multiples of the identified model's, from which it is predicted poorly; own
+choice."""
+NOTICEABLE = 0.1
+"""Share of its torque below which such an error does not count; own choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,8 +151,8 @@ class NearestModel:
     @property
     def bad(self) -> tuple[int, ...]:
         """The joints, counted from 0, that the nearest model predicts poorly."""
-        poor = (self.nearest > POOR.error * self.identified) & (
-            self.nearest > POOR.noticeable * self.torque
+        poor = (self.nearest > POOR_ERROR * self.identified) & (
+            self.nearest > NOTICEABLE * self.torque
         )
         return tuple(np.flatnonzero(poor).tolist())
 
