@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,7 @@ def interpreter(version: str) -> str | None:
     return None
 
 
+@cache
 def tools() -> dict[str, Tool]:
     """Return the tools by name, asbuilt first."""
     found = [_tool(path) for path in sorted((HERE / "adapters").glob("*.py"))]

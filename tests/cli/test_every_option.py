@@ -80,7 +80,7 @@ def arguments(command: str) -> list[str]:
     needed = {"gains": ["--loaded", "log2.csv", "--mass", "1"], "channels": ["--motor", "log2.csv"],
               "payload": [], "fleet add": ["--id", "r"], "fleet identify": ["--id", "r"],
               "fleet report": ["--out", "page"], "program": ["--format", "csv"],
-              "excite": ["--starts", "1", "--duration", "2"]}  # fmt: skip
+              "excite": ["--time-limit", "0.1", "--duration", "2"]}  # fmt: skip
     return [ARGUMENTS[each] for each in found] + needed.get(command, [])
 
 

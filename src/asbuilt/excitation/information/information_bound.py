@@ -59,7 +59,9 @@ class BoundSearch:
     def of(cls, information: Information) -> BoundSearch:
         """Return the search for a robot of this size."""
         work = sum(len(support) ** 2 for support in information.plan.support)
-        return SMALL if work > WHOLE_SEARCH else SEARCH
+        # Every state of a closed chain is a solution of its loops, which takes long.
+        slow = bool(information.model.loops)
+        return SMALL if slow or work > WHOLE_SEARCH else SEARCH
 
 
 SEARCH = BoundSearch()
