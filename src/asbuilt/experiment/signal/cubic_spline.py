@@ -1,4 +1,4 @@
-"""Cubic splines through samples; SciPy's interpolation takes a thirtieth of a short run to import."""
+"""Cubic splines through samples, with the digits of SciPy and without its import."""
 
 from __future__ import annotations
 
