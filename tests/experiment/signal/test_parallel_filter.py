@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.parallel_filter import ParallelFilter, design_parallel_filter
@@ -80,24 +79,3 @@ def test_what_would_alias_is_refused_with_a_cure():
         design_parallel_filter(40.0, 100.0)
     with pytest.raises(UsageError, match="odd number of symmetric taps"):
         ParallelFilter(np.array([1.0, 0.0]), 1, 1.0, 10.0)
-
-
-@pytest.mark.parametrize(("cutoff", "rate"), [(3.0, 93.7), (5.0, 1000.0), (27.0, 100.0)])
-def test_corner_is_the_root_that_brent_finds(cutoff, rate):
-    found = design_parallel_filter(cutoff, rate)
-    half = len(found.taps) // 2
-    k = np.arange(-half, half + 1)
-    window = np.kaiser(len(k), 0.1102 * (60.0 - 8.7))
-
-    def taps(corner):
-        h = np.sinc(2.0 * corner * k) * window
-        return h / h.sum()
-
-    ratio = cutoff / rate
-    corner = brentq(
-        lambda corner: taps(corner) @ np.cos(2.0 * np.pi * ratio * k) - np.sqrt(0.5),
-        0.3 * ratio,
-        min(1.75 * ratio, 0.5),
-        xtol=1e-14,
-    )
-    np.testing.assert_allclose(found.taps, taps(corner), rtol=1e-12, atol=1e-15)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,9 +18,6 @@ STOP_BAND = 60.0
 """Attenuation of the stop band [dB]."""
 STOP_BAND_EDGE = 1.75
 """Lower edge of the stop band, in cutoffs."""
-
-CLOSE = 1e-14
-"""Width of the interval in which the corner of a filter is known, in sampling rates."""
 
 EIGHT = 8
 """Rows that are filtered together."""
@@ -151,59 +147,10 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
         # -3 dB exactly at the cutoff, which windows shift: the corner is solved for.
         return float(taps(corner) @ np.cos(2.0 * np.pi * ratio * k) - np.sqrt(0.5))
 
-    corner = _find_root(excess, 0.3 * ratio, min(1.75 * ratio, 0.5))
+    from scipy.optimize import brentq  # noqa: PLC0415 - light start
+
+    corner = float(brentq(excess, 0.3 * ratio, min(1.75 * ratio, 0.5), xtol=1e-14))
     return ParallelFilter(taps(corner), decimation, cutoff, rate)
-
-
-def _find_root(f: Callable[[float], float], start: float, end: float) -> float:
-    """Return a root between two points at which a function has opposite signs, to `CLOSE`.
-
-    By secants and parabolas, halving the interval where these gain little (Brent, Algorithms for
-    Minimization without Derivatives, 1973, chapter 4). SciPy's `brentq` has the same digits, and
-    takes a twentieth of a short run to import.
-    """
-    last, at, across = start, end, start
-    f_last, f_at = f(last), f(at)
-    f_across = f_last
-    step = before = at - last
-    while True:
-        if (f_last < 0.0) != (f_at < 0.0):
-            across, f_across = last, f_last
-            step = before = at - last
-        if abs(f_across) < abs(f_at):
-            last, at, across = at, across, at
-            f_last, f_at, f_across = f_at, f_across, f_at
-        least = 0.5 * (CLOSE + 4.0 * np.finfo(np.float64).eps * abs(at))
-        half = 0.5 * (across - at)
-        if f_at == 0.0 or abs(half) < least:
-            return at
-        tried = np.inf
-        if abs(before) > least and abs(f_at) < abs(f_last):
-            tried = _interpolate_zero((last, f_last), (at, f_at), (across, f_across))
-        gains = 2.0 * abs(tried) < min(abs(before), 3.0 * abs(half) - least)
-        before = step if gains else half
-        step = tried if gains else half
-        last, f_last = at, f_at
-        at += step if abs(step) > least else np.copysign(least, half)
-        f_at = f(at)
-
-
-def _interpolate_zero(
-    last: tuple[float, float], at: tuple[float, float], across: tuple[float, float]
-) -> float:
-    """Return the step from the second of three points (x, y) to where y is zero.
-
-    By the line through two of them if the third is the first, else by x as a parabola of y.
-    """
-    if last[0] == across[0]:
-        return -at[1] * (at[0] - last[0]) / (at[1] - last[1])
-    to_last = (last[1] - at[1]) / (last[0] - at[0])
-    to_across = (across[1] - at[1]) / (across[0] - at[0])
-    return (
-        -at[1]
-        * (across[1] * to_across - last[1] * to_last)
-        / (to_across * to_last * (across[1] - last[1]))
-    )
 
 
 def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = None) -> Array:

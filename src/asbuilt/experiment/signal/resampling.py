@@ -11,7 +11,6 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, find_true_rows
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
-from asbuilt.experiment.signal.cubic_spline import CubicSpline
 from asbuilt.findings import Cure
 
 GAP = 4.5
@@ -156,7 +155,9 @@ class Grid:
             return x[_simplify_indices(rows)]
         clock = self.clocks[k]
         inside = np.minimum(self._times(k), clock[-1])
-        return np.ascontiguousarray(CubicSpline.through(clock, x[rows])(inside))
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
+
+        return np.ascontiguousarray(CubicSpline(clock, x[rows], axis=0)(inside))
 
 
 def plan_uniform_grid(
@@ -328,11 +329,13 @@ def _choose_clock(t: Array, q: Array) -> tuple[Array, bool]:
     # Beyond half a period stamps and ticks are not paired for certain.
     if np.max(np.abs(even - t)) > 0.6 * period:
         return t, False
-    grid = np.arange(int(tick[-1]) + 1, dtype=np.float64)
-    on_even = CubicSpline.through(tick, q)(grid)
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
+
+    grid = np.arange(int(tick[-1]) + 1)
+    on_even = CubicSpline(tick, q, axis=0)(grid)
     # Ticks just outside the stamps are moved to their ends.
     inside = t[0] + np.clip(start + slope * grid, 0.0, t[-1] - t[0])
-    on_stamps = CubicSpline.through(t, q)(inside)
+    on_stamps = CubicSpline(t, q, axis=0)(inside)
     roughness = [
         # Without the ends, at which splines are free.
         np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0))

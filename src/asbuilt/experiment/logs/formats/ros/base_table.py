@@ -19,7 +19,6 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     name_contact,
     read_times,
 )
-from asbuilt.experiment.signal.cubic_spline import CubicSpline
 
 SLOWER = 1.05
 """Ratio of periods from which a topic is slower than another, not as fast with some jitter."""
@@ -127,7 +126,9 @@ def resample(
     start = times[0]
     t = (times - start) * 1e-9
     at = (rows[inside] - start) * 1e-9
-    out[inside] = CubicSpline.through(t, values)(at)
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
+
+    out[inside] = CubicSpline(t, values)(at)
     if turn:
         length = np.interp(at, t, np.linalg.norm(values[:, turn], axis=1))
         found = out[np.ix_(inside, turn)]
