@@ -109,7 +109,7 @@ def test_modules_in_the_current_folder_are_not_run(tmp_path: Path) -> None:
     code = (
         "from asbuilt.executor import open_workers\n"
         "with open_workers(1) as workers:\n"
-        "    print([each.result for each in workers.run(abs, [-1, -2])])"
+        "    print(sorted(each.result for each in workers.run(abs, [-1, -2])))"
     )
     done = subprocess.run(
         [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, check=False,
