@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Finding
 
 if TYPE_CHECKING:
     from asbuilt.experiment.free_base.base_checks import FloatingRoot
@@ -19,10 +18,11 @@ if TYPE_CHECKING:
 class FixedRoot:
     """Say that the root does not move, so that a log is of the joints alone.
 
-    Who reads and checks logs asks the root by these methods; `FloatingRoot` has them too.
+    Who reads logs, checks them or measures simulated motion asks the root by these methods;
+    `FloatingRoot` has them too, and what holds a root, which only one that moves needs.
     """
 
-    moves = False
+    moves: Literal[False] = False
 
     def complete(
         self,
@@ -31,18 +31,8 @@ class FixedRoot:
         sheet: RecordingSheet,
         finish: Callable[[Recording], Recording],
     ) -> Recording:
-        """Return a finished recording of the joints with what the log has of the root."""
+        """Return a finished recording of the joints: a log has nothing of a fixed root."""
         return finish(recording)
-
-    def hold(self, recording: Recording) -> tuple[RobotModel, Recording]:
-        """Return robot and recording with the root held, of one that moves."""
-        raise NotImplementedError
-
-    def add_findings(
-        self, found: Sequence[Finding], recording: Recording, *, has_clock: bool
-    ) -> tuple[Finding, ...]:
-        """Return findings on the held robot in its words, with those on the root."""
-        return tuple(found)
 
     def settle(self, model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
         """Return the robot with what recordings show of how it stands."""

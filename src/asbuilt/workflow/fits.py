@@ -1,4 +1,4 @@
-"""Fits of a study: one without what is held out, for the verdict, and the final one."""
+"""Fits of a study: without what is held out, at once or in turn, for the verdict; and the last."""
 
 from __future__ import annotations
 
@@ -68,9 +68,7 @@ class Fits:
         Where whole recordings are left out in turn, the base parameters (m, p) without each; None
         otherwise.
     choice
-        The drive terms, chosen on the training part.
-    mounting
-        The direction of gravity, if that was asked for (on all samples of the final fit).
+        The drive terms, chosen on what the final fit uses.
     effects
         What the recordings show and the description lacks.
     plateaus
@@ -146,7 +144,7 @@ def fit_study(
     # Links that move by their own encoder are other samples, with effects of their own.
     stiff = _fit_divided_or_whole(fitted, _move_to_link(prepared, pairs, fits.final))
     # Stiff drives must predict better: a second encoder may be the worse one.
-    if _measure_torque_error(stiff) >= _measure_torque_error(fits):
+    if _measure_squared_error(stiff) >= _measure_squared_error(fits):
         return replace(fits, encoders=pairs)
     # Compliance is told from the samples as they were, whose encoders still differ.
     return replace(stiff, encoders=_identify_encoders(stiff, fits.samples))
@@ -166,8 +164,8 @@ def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared
     return fitted(prepared)
 
 
-def _measure_torque_error(fits: Fits) -> float:
-    """Return the relative torque error on what was held out, else on what was fitted."""
+def _measure_squared_error(fits: Fits) -> float:
+    """Return the mean squared relative error on what was held out, else on what was fitted."""
     predicted = predict_held_out(fits) or predict_samples(fits.validated, fits.prepared.training)
     return float(
         np.mean([prediction.metrics_as_built.relative_error**2 for prediction in predicted])
@@ -259,7 +257,7 @@ def _fit_all(
         return completed(fit, choice)
 
     if options.refine is None or parts is None:
-        settled = _drop_needless_effects(fitted, prepared, source, choice, effects)
+        settled = _settle_fits(fitted, prepared, source, choice, effects)
         left_out = _leave_out(
             settled.final,
             prepared,
@@ -326,7 +324,7 @@ class _Settled:
     kind: str
 
 
-def _drop_needless_effects(
+def _settle_fits(
     fitted: _FitOfChoice,
     prepared: Prepared,
     source: MeasuredTorque,

@@ -25,8 +25,8 @@ class PositionServo:
     """Hold the gains of proportional-derivative position control, joint by joint.
 
     The torque on the link is `clip(kp D(goal(t - delay) - q) - kd qd, -limit, limit)`. The goal is
-    the command, or what `goal_path` makes of it if the servo limits the acceleration of its goal,
-    and `lead` times its rate: a servo whose derivative gain acts on the control error,
+    the command, or what `derive_goal_path` makes of it if the servo limits the acceleration of its
+    goal, and `lead` times its rate: a servo whose derivative gain acts on the control error,
     `kp e + kr de/dt - kv qd`, has the lead `kr / kp` and the damping `kd = kr + kv`.
     D(e) is `e - clip(e, -deadband, deadband)`. Under a limited voltage the limits fall with the
     speed, `-limit (1 + qd / no_load_speed)` and `limit (1 - qd / no_load_speed)`; a servo without
@@ -131,7 +131,7 @@ class PositionServo:
         return bool(np.any(np.isfinite(self.goal_acceleration)))
 
     def goal(self, t: ArrayLike, command: ArrayLike) -> tuple[Array, Array]:
-        """Return the goal that follows commands (K, n) at times (K,), as `goal_path` does."""
+        """Return the goal that follows commands (K, n) at times (K,), by `derive_goal_path`."""
         from asbuilt.dynamics.drives.goal_profile import derive_goal_path  # noqa: PLC0415 - light start
 
         limit = np.asarray(self.goal_acceleration)

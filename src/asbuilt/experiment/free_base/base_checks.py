@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -322,7 +322,7 @@ class FloatingRoot:
 
     model: RobotModel
 
-    moves: ClassVar[bool] = True
+    moves: ClassVar[Literal[True]] = True
 
     def complete(
         self,

@@ -36,8 +36,8 @@ class DriveSignal:
     values
         Shape (K, n).
     goal
-        What a servo that limits its goal makes of the command, as `goal_path` returns it; None if
-        the command is the goal.
+        What a servo that limits its goal makes of the command, as `derive_goal_path` returns it;
+        None if the command is the goal.
     """
 
     kind: DrivenBy

@@ -108,7 +108,7 @@ def study_verdict(
     """Return the verdict on a result, by motion that it was not fitted to; without any, untested.
 
     Of several recordings the one with the largest error decides. Where commands stand for torques,
-    which are what a law of the drive makes of them, the simulated motion is measured.
+    which are what a law of the drive makes of them, simulated motion decides if there are rollouts.
 
     Parameters
     ----------
