@@ -19,7 +19,6 @@ from .arguments.options import Robot as Robot
 from .arguments.options import TimelineFiles as TimelineFiles
 from .arguments.options import Unchecked as Unchecked
 from .arguments.options import complete_robot as complete_robot
-from .arguments.options import load_described_robot as load_described_robot
 from .arguments.options import out_folder as out_folder
 from .arguments.options import read_recordings_of_robot as read_recordings_of_robot
 from .arguments.options import require_distinct_logs as require_distinct_logs

@@ -215,7 +215,7 @@ def _return_freed_memory() -> None:
 
     Else it keeps room for the largest so far, in pieces that the next do not fit, and for each
     thread apart. Of small ones it keeps some room: given back with every array and asked for again
-    with the next, each page of it is a fault: up to half of the time of a large check.
+    with the next, each page of it is a fault, and faults take up to half of a large check.
     """
     largest_kept = 1 << 20  # bytes
     room_kept = 1 << 26  # bytes

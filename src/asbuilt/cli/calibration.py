@@ -29,7 +29,6 @@ from asbuilt.cli.arguments.options import (
     Out,
     Robot,
     Unchecked,
-    load_described_robot,
     parse_number_list,
     parse_places,
     read_recordings_of_robot,
@@ -93,7 +92,7 @@ def channels(
     require_distinct_logs(motor)
     if motor_sheet is None and motor_gain is None:
         require_distinct_logs(log, motor)
-    model = load_described_robot(robot, reading.base)
+    model = reading.base.load_robot(robot)
     on_links = replace(reading, torque_source=reading.torque_source or "sensor")
     on_motors = replace(
         reading,
@@ -160,7 +159,7 @@ def gains(
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    model = load_described_robot(robot, reading.base)
+    model = reading.base.load_robot(robot)
     source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
     measured = replace(reading, torque_source=source or "current")
     model, (bare, under) = read_robot_and_recordings(model, measured, log, loaded)

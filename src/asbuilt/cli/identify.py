@@ -24,7 +24,6 @@ from asbuilt.cli.arguments.options import (
     Seed,
     Sharing,
     TimelineFiles,
-    load_described_robot,
     parse_places,
     read_robot_and_recordings,
     refuse_idle,
@@ -66,7 +65,7 @@ def identify(
     require_distinct_logs(log, validate, payload)
     if not options.rollout:
         sharing.refuse("only rollouts are shared")
-    model = load_described_robot(robot, reading.base)
+    model = reading.base.load_robot(robot)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)

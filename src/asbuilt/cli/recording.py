@@ -28,7 +28,6 @@ from asbuilt.cli.arguments.options import (
     Out,
     Robot,
     RobotOrResult,
-    load_described_robot,
     load_robot_as_built,
     parse_number_list,
     parse_positive_number,
@@ -73,7 +72,7 @@ def check(
     and excitation. A recording sheet that makes a log readable, or better, is printed, complete.
     """
     require_distinct_logs(log)
-    described = load_described_robot(robot, reading.base)
+    described = reading.base.load_robot(robot)
     proposals: dict[Path, experiment.SheetProposal] = {}
     written: dict[str, Path] = {}
     if write_sheet:

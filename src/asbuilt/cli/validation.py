@@ -38,7 +38,6 @@ from asbuilt.cli.arguments.options import (
     TimelineFiles,
     Unchecked,
     is_result,
-    load_described_robot,
     read_recordings_of_robot,
     read_robot_and_recordings,
     refuse_idle,
@@ -185,9 +184,7 @@ def _validate_described(
             "--out writes the predictions of a result; for a robot as described there is only"
             " the table, and a page of its rollouts (--rollout)"
         )
-    model, (logged,) = read_robot_and_recordings(
-        load_described_robot(robot, reading.base), reading, log
-    )
+    model, (logged,) = read_robot_and_recordings(reading.base.load_robot(robot), reading, log)
     from asbuilt.workflow.torque_source import lacks_torque
 
     # Where a log has neither torque nor gains, simulated motion is all there is to compare.
@@ -418,7 +415,7 @@ def review(
     supported, contradicted or undetermined, and what each is an alias of.
     """
     require_distinct_logs(log)
-    model = load_described_robot(robot, reading.base)
+    model = reading.base.load_robot(robot)
     swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     with show_progress() as report:

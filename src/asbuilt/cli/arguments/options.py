@@ -17,7 +17,7 @@ import typer
 import asbuilt
 from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.description.load import HELD_BASE, BaseOptions
+from asbuilt.description.load import HELD_BASE
 from asbuilt.ranges import Range, make_range_error, option
 from asbuilt.writing import check_replaceable, check_writable
 
@@ -245,13 +245,6 @@ def parse_delay(text: str) -> float | tuple[float, ...] | Literal["auto"] | None
         if not DELAYS.holds(value):
             raise make_range_error("--delay", value, DELAYS)
     return values[0] if len(values) == 1 else values
-
-
-def load_described_robot(
-    robot: str, base: BaseOptions | None = None, *, fixed_base: bool = False
-) -> asbuilt.RobotModel:
-    """Return the robot that a name or a path describes, on a base as the options have it."""
-    return (base or BaseOptions(fixed_base=fixed_base)).load_robot(robot)
 
 
 AS_IDENTIFIED = "the robot of a result is taken as it was identified"

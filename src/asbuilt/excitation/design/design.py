@@ -108,7 +108,7 @@ def design_fixed(
     if not refined:
         raise MotionError(
             f"{model.name}: the motions found violate a limit between the nodes of the search; "
-            f"allow more time or fewer {family.size_name}"
+            f"allow more starts or fewer {family.size_name}"
         )
     motion = search.motion(refined[0])
     return describe_design(
@@ -248,6 +248,7 @@ DURATION_LONGEST_PERIOD = 40.0  # Duration from which on a Fourier series repeat
 DURATION_STEP = 5.0  # Durations are multiples of this [s]
 DURATION_TRIALS = 8  # Durations tried at most; errors fall with the square root, so few are needed
 DURATION_STARTS = 6  # Random starts of a trial
+SHORTEST_LIMIT = 0.1  # Time limit [s] of a design for which none is left: a first motion
 
 
 def design_for_precision(
@@ -261,8 +262,8 @@ def design_for_precision(
     """Return a design just long enough for `Design.precision` to be at most `options.precision`.
 
     Errors fall with the square root of the duration, which gives the next duration to try. A time
-    limit of the options holds for each design. A keyboard interrupt ends the trials and returns
-    the motion of that moment. `given` are further parameters of `design_fixed`.
+    limit of the options holds for all designs together. A keyboard interrupt ends the trials and
+    returns the motion of that moment. `given` are further parameters of `design_fixed`.
 
     Raises
     ------
@@ -272,8 +273,9 @@ def design_for_precision(
     trials: list[DurationTrial] = []
     duration = DURATION_FIRST
     wanted_precision = options.precision
+    deadline = Deadline(options.longest)
     for _ in range(DURATION_TRIALS):
-        wanted = _set_duration(options, duration)
+        wanted = _limit_time(_set_duration(options, duration), deadline)
         quick = replace(wanted, starts=min(DURATION_STARTS, options.starts))
         report = None if progress is None else partial(_report_trial, progress, duration)
         # A trial shows precision; efficiency is asked of the last design alone.
@@ -283,7 +285,9 @@ def design_for_precision(
         if design.interrupted:
             return replace(design, trials=tuple(trials))
         if reached <= wanted_precision:
-            final = design_fixed(model, base, wanted, progress=progress, **given)
+            final = design_fixed(
+                model, base, _limit_time(wanted, deadline), progress=progress, **given
+            )
             # The longer search of the final design starts elsewhere, and may end below the quick
             # one.
             best = final if final.precision <= wanted_precision else design
@@ -293,9 +297,16 @@ def design_for_precision(
         step = DURATION_STEP
         # At least a step more, at most four times: the rule holds near the present duration.
         duration = max(duration + step, step * math.ceil(min(needed, 4 * duration) / step))
-        if duration > DURATION_LONGEST:
+        if duration > DURATION_LONGEST or deadline():
             break
     raise _make_failure_error(model, wanted_precision, trials, duration, design.size_name)
+
+
+def _limit_time(options: DesignOptions, deadline: Deadline) -> DesignOptions:
+    """Return options whose time limit is what is left, so that a design ends where none is."""
+    if options.time_limit is None:
+        return options
+    return replace(options, time_limit=max(deadline.seconds - deadline.elapsed, SHORTEST_LIMIT))
 
 
 def _make_failure_error(
@@ -307,7 +318,7 @@ def _make_failure_error(
         return MotionError(
             f"{model.name}: a precision of {precision:g} of the torque was not reached; the best is"
             f" {best.precision:.3g} with {best.duration:g} s and {best.size} {points}, and for"
-            " longer motions the search finds nothing better; allow more time, or use a Fourier"
+            " longer motions the search finds nothing better; allow more starts, or use a Fourier"
             " series, which repeats",
             precision=best.precision,
             duration=best.duration,

@@ -244,7 +244,13 @@ class DesignSearch:
         # An iteration on twice as many nodes is twice the work.
         left = max(self._iterations, 0) + self._refinement
         shared = share_iterations(tasks, left // 2)
-        return search_all(shared, self.search, deadline, pool=pool, progress=progress)
+        refined = search_all(shared, self.search, deadline, pool=pool, progress=progress)
+        others = tasks[len(shared) :]
+        if refined or not others:
+            return refined
+        # None of these holds its limits between the nodes: the next ones may.
+        others = [replace(task, iterations=SEARCH_FEWEST_ITERATIONS) for task in others]
+        return search_all(others, self.search, deadline, pool=pool, progress=progress)
 
     @staticmethod
     def _report(

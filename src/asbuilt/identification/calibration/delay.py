@@ -161,7 +161,8 @@ class DelayEstimate:
     lag, lag_error
         How much later friction is than the other torques, mean over joints [s].
     certain
-        Whether a recording alone would tell its delay to 5 ms, (R,).
+        Whether a recording alone would tell its delay to 5 ms, (R,); where they share one, whether
+        half of them would.
     joint_estimates, joint_errors
         Delays of the joints [s], (R, n); None unless the recordings ask for them.
     helps

@@ -335,11 +335,11 @@ class _Problem:
             if iteration == 0:
                 every = np.vstack([r * g for r, g in zip(rows, inverse, strict=True)])
                 target = np.concatenate([r[:, -1] for r in rows])
-                theta[free] = _solve_least_squares(
+                theta[free] = self._solve_least_squares(
                     every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
                 )
             matrix, errors = self._linearise(rows, theta, inverse, sigma, free)
-            step = _solve_least_squares(matrix, errors)
+            step = self._solve_least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
             theta[free] += step[: -self._n]
             inverse = inverse + change
@@ -376,6 +376,12 @@ class _Problem:
             errors.append((r[:, -1] - g * own[:, k]) / s)
         return np.vstack(matrix), np.concatenate(errors)
 
+    def _solve_least_squares(self, matrix: Array, target: Array) -> Array:
+        """Return the shortest least-squares solution in columns scaled to unit length."""
+        # Rows are of factors: rounding errors are those of the samples behind them.
+        n_rows = self._n * sum(block.n_samples for block in self.times)
+        return solve_factor(triangular_factor(np.column_stack([matrix, target])), n_rows).x
+
     def _find_signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
         """Return the sign (n,) of each gain by a fit of `-i_k g_k + Y_k beta + P_k phi = 0`."""
         matrix = []
@@ -386,7 +392,7 @@ class _Problem:
             size = float(np.linalg.norm(r[:, -1])) or 1.0
             matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
             target.append(-r[:, :-1] @ theta / size)
-        gains = _solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :]
+        gains = self._solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :]
         return np.where(gains < 0, -1.0, 1.0)
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
@@ -428,9 +434,3 @@ class _Problem:
         own = root[-self._n :]
         found = np.maximum(estimate_scatter(data, own).variance, variance * np.sum(own**2, axis=1))
         return np.where(columns.determined[-self._n :], np.sqrt(found), np.inf) / inverse**2
-
-
-def _solve_least_squares(matrix: Array, target: Array) -> Array:
-    """Return the shortest least-squares solution in columns scaled to unit length."""
-    rows = np.column_stack([matrix, target])
-    return solve_factor(triangular_factor(rows), len(rows)).x

@@ -76,7 +76,7 @@ def find_plateaus(
 
     Rows are shared with others by `kept`.
 
-    None where the samples cannot be fitted.
+    Empty where the samples cannot be fitted.
     """
     base = find_base_parameters(model, drive)
     try:

@@ -248,7 +248,7 @@ def _fit_kind_alone(
         fit = fits[data.kind]()
     except AsbuiltError:
         return None
-    why = f"{data.kind} {BETTER_LEFT_OUT}"
+    why = f"{fit.method} {BETTER_LEFT_OUT}"
     return _conclude_choice(data, prior, free, replace(fit, kind=data.kind), why, ())
 
 
