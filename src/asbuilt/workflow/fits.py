@@ -292,7 +292,8 @@ def _fit_all(
         choice = replace(choice, drive=drive, sentences=(*choice.sentences, ADDED))
     known = [(delay.source, delay.digest) for delay in prepared.delay]
     prepared = source.with_delays(prepared, known)
-    final = _with_omitted_bias(final, effects)
+    # Fits of other kinds would be those before the refinement.
+    final = _with_omitted_bias(final.alone(), effects)
     return Fits(model, prepared, final, final, choice, effects, flat, source, refined)
 
 
