@@ -42,3 +42,11 @@ def test_a_damaged_robot_document_is_refused():
     ):
         with pytest.raises(DescriptionError):
             model_from_document(document | changes)
+
+
+def test_an_unknown_field_of_a_part_is_named():
+    document = model_document(load_robot("two-link"))
+    joint = document["joints"][0]
+    renamed = joint | {"limits": {**joint["limits"], "speed": 1.0}}
+    with pytest.raises(DescriptionError, match="JointLimits has no 'speed'; known are lower"):
+        model_from_document(document | {"joints": [renamed, *document["joints"][1:]]})

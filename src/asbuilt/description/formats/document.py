@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, fields
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             joints=tuple(_read_joint(item) for item in document["joints"]),
             followers=tuple(_read_joint(item) for item in document.get("followers", ())),
             links=tuple(_read_link(item) for item in document["links"]),
-            loops=tuple(Loop(**item) for item in document.get("loops", ())),
+            loops=tuple(_build(Loop, item) for item in document.get("loops", ())),
             posture={
                 str(name): float(value) for name, value in document.get("posture", {}).items()
             },
@@ -124,6 +124,21 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             f"a robot document cannot be read: {type(problem).__name__} {problem}; expected what"
             " `model_document` returns"
         ) from problem
+
+
+Part = TypeVar("Part")
+
+
+def _build(kind: type[Part], values: Mapping[str, Any]) -> Part:
+    """Return a part of a robot by its fields, of which a document may have no others."""
+    known = [field.name for field in fields(cast(Any, kind))]
+    unknown = next((name for name in values if name not in known), None)
+    if unknown is not None:
+        raise DescriptionError(
+            f"a robot document cannot be read: {kind.__name__} has no {unknown!r}; known are"
+            f" {', '.join(known)}"
+        )
+    return kind(**values)
 
 
 def _write_loop(loop: Loop) -> dict[str, Any]:
@@ -174,8 +189,8 @@ def _read_joint(document: Mapping[str, Any]) -> Joint:
         parent=int(document["parent"]),
         before=_read_array(document["before"]),
         after=_read_array(document["after"]),
-        limits=JointLimits(**limits),
-        drive=DriveValues(**drive, terms=terms),
+        limits=_build(JointLimits, limits),
+        drive=_build(DriveValues, {**drive, "terms": terms}),
         before_symbols=_read_symbols(document["before_symbols"]),
         after_symbols=_read_symbols(document["after_symbols"]),
         mimic=_read_mimic(document.get("mimic")),
@@ -187,7 +202,7 @@ def _read_mimic(document: Mapping[str, Any] | None) -> Mimic | None:
         return None
     if "multiplier" in document:  # written before joints could follow several others
         return Mimic({document["joint"]: document["multiplier"]}, document["offset"])
-    return Mimic(**document)
+    return _build(Mimic, document)
 
 
 def _write_link(link: Link) -> dict[str, Any]:
