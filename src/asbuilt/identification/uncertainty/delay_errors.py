@@ -208,7 +208,7 @@ def estimate_delay_errors(
     An error is at least that with which the delay was estimated.
     """
     n = model.n_joints
-    # Recordings that were given one delay with one error share it.
+    # Recordings that were given one delay with one error share it; stated delays have no errors.
     free: dict[tuple[int, float, float], int] = {}
     shared = list[tuple[int, int, int]]()
     for r, batch in enumerate(samples):
