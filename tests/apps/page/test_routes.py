@@ -35,7 +35,7 @@ VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 FIELDS = (
     "robot", "logs", "validation", "reading", "options", "effects", "export", "line", "option",
-    "value", "columns", "name", "quantity", "joint", "unknown",
+    "value", "columns", "name", "quantity", "joint", "unknown", "paths", "use",
 )  # fmt: skip
 
 
@@ -59,7 +59,7 @@ def draw_place(rng: random.Random, server: PageServer) -> str:
     name = quote(rng.choice(NAMES), safe=rng.choice(("", "/", "/%")), errors="surrogatepass")
     step = rng.choice((*STEPS, "sample", name))
     own = (
-        "", "state", "option", "sheet", "batch", "sample", "cancel", f"run/{step}",
+        "", "state", "logs", "option", "sheet", "batch", "sample", "cancel", f"run/{step}",
         f"answer/{name}", f"files/{name}", f"files/1/{name}", f"files/uploads/{name}", "page.js",
         "sample.svg", "plot.js", "page.py", name,
     )  # fmt: skip

@@ -250,6 +250,24 @@ def test_a_log_under_load_is_weighed_with_the_identified_arm(session: Session) -
     assert session.arguments("check")[2:4] == ("bare.csv", "loaded.csv")
 
 
+def test_a_log_changes_its_use_whatever_became_of_the_others(session: Session) -> None:
+    session.choose({"robot": "two-link", "logs": ["a.csv", "b.csv"], "validation": []})
+    session.use_logs(["a.csv"], "payload")
+    session.use_logs(["c.csv", "b.csv"], "validation")
+    chosen = session.choices
+    assert (chosen.logs, chosen.validation, chosen.payload) == (
+        (),
+        ("c.csv", "b.csv"),
+        ("a.csv",),
+    )
+    session.use_logs(["b.csv"], "")
+    assert session.choices.recordings == ("c.csv", "a.csv")
+    for paths, use in (("a.csv", "logs"), (["a.csv"], "robot"), ([1], "logs"), (None, None)):
+        with pytest.raises(UsageError):
+            session.use_logs(paths, use)
+    assert session.choices.recordings == ("c.csv", "a.csv")
+
+
 @pytest.mark.parametrize(
     ("choices", "step", "why"),
     [

@@ -121,6 +121,20 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PageServ
     thread.join()
 
 
+def open_page(server: PageServer, browser: Any) -> str:
+    """Go to the page past the one that takes the secret, and return where it is."""
+    wait = pytest.importorskip("selenium.webdriver.support.wait")
+    place = f"http://{server.hosts[0]}/{server.place}/"
+    browser.get(server.url)
+    wait.WebDriverWait(browser, 60).until(
+        lambda page: (
+            page.current_url == place
+            and page.execute_script('return document.readyState === "complete"')
+        )
+    )
+    return place
+
+
 def acts(browser: Any, folder: Path, rng: random.Random) -> list[Callable[[], Any]]:
     """Everything that can be done with a mouse, and files that change behind the page."""
 
@@ -166,8 +180,7 @@ def test_a_walk_ends_where_a_new_page_begins(
     server: PageServer, browser: Any, tmp_path: Path, seed: int
 ) -> None:
     rng = random.Random(seed)
-    browser.get(server.url)
-    place = f"http://{server.hosts[0]}/{server.place}/"
+    place = open_page(server, browser)
     walked = browser.current_window_handle
     browser.switch_to.new_window("tab")
     fresh = browser.current_window_handle
@@ -196,3 +209,38 @@ def test_a_walk_ends_where_a_new_page_begins(
         browser.close()
         browser.switch_to.window(walked)
     assert len(seen) > WALKS / 2
+
+
+def test_two_changes_before_an_answer_are_both_kept(
+    server: PageServer, browser: Any, tmp_path: Path
+) -> None:
+    open_page(server, browser)
+    for name in ("one", "two"):
+        browser.execute_script(ENTER, "log-path", str(tmp_path / f"{name}.csv"))
+    browser.execute_async_script(SETTLE)
+    browser.execute_script(f"""
+        const change = (...arguments) => {{ {PICK} }};
+        change("#log-list select", 0, 2);
+        change("#log-list select", 1, 1);
+    """)
+    browser.execute_async_script(SETTLE)
+    chosen = server.session.choices
+    assert [Path(path).stem for path in chosen.payload + chosen.validation] == ["one", "two"]
+    uses = [f"SELECT||||{use}||false||" for use in ("validation", "payload")]
+    assert [line for line in browser.execute_script(SCREEN) if line in uses] == uses
+
+
+def test_a_use_that_is_refused_is_not_shown(
+    server: PageServer, browser: Any, tmp_path: Path
+) -> None:
+    open_page(server, browser)
+    browser.execute_script(ENTER, "log-path", str(tmp_path / "one.csv"))
+    browser.execute_async_script(SETTLE)
+    browser.execute_script(f"""
+        const change = (...arguments) => {{ {PICK} }};
+        document.querySelector("#log-list select").options[1].value = "elsewhere";
+        change("#log-list select", 0, 1);
+    """)
+    browser.execute_async_script(SETTLE)
+    assert not browser.find_element("id", "trouble").get_property("hidden")
+    assert "SELECT||||logs||false||" in browser.execute_script(SCREEN)

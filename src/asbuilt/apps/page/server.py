@@ -223,6 +223,8 @@ class Handler(BaseHTTPRequestHandler):
             given = self._read_body()
             if place == "state":
                 session.choose(given)
+            elif place == "logs":
+                session.use_logs(given.get("paths"), given.get("use"))
             elif place == "option":
                 session.set_option(given.get("line"), given.get("option"), given.get("value"))
             elif place == "sheet":

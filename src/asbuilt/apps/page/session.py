@@ -17,6 +17,7 @@ from asbuilt import UsageError, robot_names
 from asbuilt.apps.page.choices import (
     EXPORTS,
     LINES,
+    ROLES,
     Choices,
     Fingerprints,
     is_same_robot,
@@ -139,6 +140,22 @@ class Session:
             self.choices = replace(old, **chosen)
             self.note = note
             self.follow()
+
+    def use_logs(self, paths: Any, role: Any) -> None:
+        """Give recordings a role of `ROLES`, the last in it; an empty one removes them.
+
+        What a page knows of the others may be old: two changes made at once are both kept.
+        """
+        if role not in ("", *ROLES) or not isinstance(paths, list):
+            raise UsageError("a list of logs takes a use", value=role, available=ROLES)
+        with self._lock:
+            chosen = {
+                name: [path for path in getattr(self.choices, name) if path not in paths]
+                for name in ROLES
+            }
+            if role:
+                chosen[role] += paths
+            self.choose(chosen)
 
     def set_option(self, line: Any, option: Any, value: Any) -> None:
         """Give an option a value in a line of options; True sets a flag, False removes it."""

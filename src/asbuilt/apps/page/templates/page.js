@@ -1,6 +1,6 @@
 /* The page of `asbuilt open`: every section is drawn from one state (talk.js). */
 import { digits, element, errorText, fileName, make, mark, upper } from "./parts.js";
-import { choose, current, onChange, page, post, refresh, setOption, upload } from "./talk.js";
+import { choose, current, onChange, page, post, refresh, setOption, upload, useLogs } from "./talk.js";
 import { drawColumns } from "./columns.js";
 import { addCures, drawFindings } from "./findings.js";
 import { drawCurves, drawFiles, drawResult, fileAddress } from "./result.js";
@@ -56,12 +56,17 @@ const roles = { logs: "identify with it", validation: "validate on it", payload:
 const countLogs = (choices) => Object.keys(roles).reduce((sum, use) => sum + choices[use].length, 0);
 
 let drawnLogs = "";
+let drawnRoles = [];
 function drawLogs(choices) {
   const count = countLogs(choices);
   mark("logs", count ? count + (count > 1 ? " logs" : " log") : "", "good");
   const signature = JSON.stringify(Object.keys(roles).map((use) => choices[use]));
-  if (signature === drawnLogs) return;
+  if (signature === drawnLogs) {
+    for (const [role, use] of drawnRoles) role.value = use;
+    return;
+  }
   drawnLogs = signature;
+  drawnRoles = [];
   const list = element("log-list");
   list.textContent = "";
   for (const use of Object.keys(roles)) {
@@ -73,17 +78,11 @@ function drawLogs(choices) {
       const role = make(row, "select", { "aria-label": "use of " + path });
       for (const [value, text] of Object.entries(roles)) make(role, "option", { value }, text);
       role.value = use;
-      role.addEventListener("change", () => addLogs([path], role.value));
-      make(row, "button", { type: "button" }, "Remove").addEventListener("click", () => addLogs([path], ""));
+      drawnRoles.push([role, use]);
+      role.addEventListener("change", () => useLogs([path], role.value));
+      make(row, "button", { type: "button" }, "Remove").addEventListener("click", () => useLogs([path], ""));
     }
   }
-}
-
-function addLogs(paths, use) {
-  const kept = (name) => page().choices[name].filter((path) => !paths.includes(path));
-  const next = Object.fromEntries(Object.keys(roles).map((name) => [name, kept(name)]));
-  if (use) next[use] = next[use].concat(paths);
-  return choose(next);
 }
 
 function drawRobot() {
@@ -335,7 +334,7 @@ async function takeLogs(files) {
     const isSheet = depth === 0 && /\.toml$/i.test(files[k][1]) && files.some(([, name]) => !/\.toml$/i.test(name));
     return path && !isSheet ? path.split("/").slice(0, depth ? -depth : undefined).join("/") : null;
   });
-  await addLogs([...new Set(logs.filter(Boolean))], "logs");
+  await useLogs([...new Set(logs.filter(Boolean))], "logs");
 }
 
 const listedFiles = (input) => [...input.files].map((file) => [file, file.webkitRelativePath || file.name]);
@@ -346,7 +345,7 @@ taken("log-file", takeLogs);
 taken("log-folder", takeLogs);
 entered("robot-name", (robot) => robot && choose({ robot }));
 entered("robot-path", (robot) => robot && choose({ robot }));
-entered("log-path", (path) => { if (path) { element("log-path").value = ""; addLogs([path], "logs"); } });
+entered("log-path", (path) => { if (path) { element("log-path").value = ""; useLogs([path], "logs"); } });
 entered("reading", (reading) => choose({ reading }));
 entered("options", (options) => choose({ options }));
 entered("export-format", (format) => choose({ export: format }));

@@ -91,8 +91,18 @@ async function fetchAnswer(step) {
 }
 
 export const refresh = async () => take(await ask("GET", "state"));
-export const post = async (place, body) => take(await ask("POST", place, body));
+
+/* Requests that change something go one after another: of two choices the later one holds. */
+let line = Promise.resolve();
+export function post(place, body) {
+  wait(1);
+  const reply = line.then(() => ask("POST", place, body));
+  line = reply.catch(() => {});
+  return reply.then(take).finally(() => wait(-1));
+}
+
 export const choose = (choices) => post("state", choices);
+export const useLogs = (paths, use) => post("logs", { paths, use });
 export const setOption = (line, option, value) => post("option", { line, option, value });
 
 function send(file, place, done) {
