@@ -8,11 +8,12 @@ import sys
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit status of shells after Ctrl-C."""
-YOUNG_OBJECTS = 50_000
+YOUNG_OBJECTS = 500_000
 """Containers, made and not yet freed, after which the collector looks for cycles.
 
-Python's 700 make it walk 400 times over modules that stay to the end: a twentieth of a short run.
-Arrays go with the last name that refers to them, whatever this is.
+Python's 700 make it walk 400 times over modules that stay to the end: a twentieth of a short run,
+which makes some 300 000 containers, modules included. Arrays go with the last name that refers to
+them, whatever this is.
 """
 
 
