@@ -35,6 +35,7 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.estimate_to_result import conclude
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import (
@@ -101,6 +102,16 @@ class Fit:
         found = replace(self, of_kind=None, estimate=replace(self.estimate, of_kind=None))
         # The values and their errors are the same.
         found.derived.update(self.derived)
+        return found
+
+    def with_bias(self, omitted: OmittedBias | None) -> Fit:
+        """Return the fit with the bias by effects that the model lacks: errors alone change."""
+        if omitted is self.omitted:
+            return self
+        found = replace(self, omitted=omitted)
+        # The exported robot has the values of the fit, whatever their bias.
+        exported = {key: kept for key, kept in self.derived.items() if as_built_parameters in key}
+        found.derived.update(exported)
         return found
 
     def without(self, sources: Collection[str], undetermined: Undetermined) -> Array | None:

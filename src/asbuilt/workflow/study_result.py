@@ -111,9 +111,7 @@ def conclude_study(
     feet = _find_foot_moments(fits)
     of_feet = None if feet is None else feet.omitted(fits.final.information, fits.final.estimate)
     omitted = _join_biases(_join_biases(fits.final.omitted, _doubt_friction(fits.final)), of_feet)
-    same = omitted is fits.final.omitted
-    fit = fits.final if same else replace(fits.final, omitted=omitted)
-    result = fit.concluded(
+    result = fits.final.with_bias(omitted).concluded(
         train=train,
         cad=train_cad if decisive is None else decisive.metrics_cad,
         validation=[validation.metrics_as_built for validation in validations],
