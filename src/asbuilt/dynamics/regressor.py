@@ -282,6 +282,8 @@ class RegressorPlan:
         self, inputs: Sequence[Array], target: Array, columns: Indices, threads: int | None
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
+        if not self.columns.size or self.columns.min() >= _PER_LINK * self.model.n_links:
+            return
         joint_map = self.model.joint_map
         places = joint_map.parameters(self.places)
         moved = joint_map.motion(*inputs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -187,7 +187,7 @@ def _fit_one(
     parameter: NonlinearParameter,
     chosen: Sequence[SampleBlock],
 ) -> FittedNonlinear:
-    remaining = _Remaining(model, others, chosen)
+    remaining = _Remaining(model, others, term, chosen)
 
     def error(values: Array) -> Array:
         return remaining.measure_error(
@@ -275,10 +275,17 @@ def credible_range(
 
 
 class _Remaining:
-    """Hold each joint's torque projected off the columns of all terms but one."""
+    """Hold each joint's torque projected off the columns of all terms but one, and that one."""
 
-    def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[SampleBlock]) -> None:
-        self._model = model
+    def __init__(
+        self,
+        model: RobotModel,
+        others: DriveSet,
+        term: DriveTerm,
+        chosen: Sequence[SampleBlock],
+    ) -> None:
+        own = 10 * model.n_links + np.arange(len(term.symbols) * model.n_joints)
+        self._plan = RegressorPlan.of(model, DriveSet((term,)), own, spare_rows=1)
         self._chosen = chosen
         base = find_base_parameters(model, others)
         plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
@@ -297,8 +304,8 @@ class _Remaining:
 
     def measure_error(self, term: DriveTerm, *, positive: bool) -> Array:
         """Return the squared error (n,) with this term; without it if not `positive` as asked."""
-        own = 10 * self._model.n_links + np.arange(len(term.symbols) * self._model.n_joints)
-        plan = RegressorPlan.of(self._model, DriveSet((term,)), own, spare_rows=1)
+        # Where its columns stand does not depend on its nonlinear parameters.
+        plan = replace(self._plan, drive=DriveSet((term,)))
         left = []
         for rows, basis, torque in zip(
             _stack_rows(plan, self._chosen), self._bases, self._torques, strict=True
