@@ -6,6 +6,7 @@ The second road to the number of base parameters.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -30,6 +31,10 @@ With one for each, chance could make it look singular.
 """
 FEWEST_STATES = 12
 """Random states for a robot of few joints and columns."""
+DRAWN = 16
+"""Random states are drawn so many at a time: drives of a few terms more use the same."""
+ROBOTS_KEPT = 4
+"""Robots whose link columns are remembered."""
 SEED = 20151
 
 
@@ -57,28 +62,16 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     first = 10 * model.n_links
     n_columns = first + drive.columns_per_joint * n
     samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
-    rng = np.random.default_rng(SEED)
-    q = draw_postures(model, rng, samples)
-    qd = rng.normal(scale=2.0, size=(samples, n))
-    qdd = rng.normal(scale=4.0, size=(samples, n))
+    *state, rigid = _evaluate_links(model, DRAWN * -(-samples // DRAWN))
+    q, qd, qdd = (each[:samples] for each in state)
+    rigid = rigid[:, :samples]
     Y = np.zeros((n, samples, n_columns))
-    rigid = Y[:, :, :first]
-    if model.tree is model:
-        _fill_rigid_body_columns(model, q, qd, qdd, rigid)
-    else:
-        of_tree = np.zeros((model.n_links, samples, first))
-        moved = model.joint_map.motion(q, qd, qdd)
-        _fill_rigid_body_columns(model.tree, moved.q, moved.qd, moved.qdd, of_tree)
-        order = np.argsort(model.joint_map.order)
-        by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, order]
-        shares = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
-        rigid[...] = np.einsum("sik,isc->ksc", shares, by_link.reshape(of_tree.shape))
-    rigid[:, :, find_negligible_columns(model)] = 0.0
-    load = (
-        np.stack([rows @ rng.uniform(0.5, 1.5, first) for rows in rigid], axis=1)
-        if drive.needs_load
-        else None
-    )
+    Y[:, :, :first] = rigid
+    load = None
+    if drive.needs_load:
+        parameters = np.random.default_rng(SEED).uniform(0.5, 1.5, (n, first))
+        pairs = zip(rigid, parameters, strict=True)
+        load = np.stack([rows @ chi for rows, chi in pairs], axis=1)
     drive = DriveSet(tuple(term.typical() for term in drive.terms))
     shares = model.motor_shares
     of_motor = drive.of_motor
@@ -93,6 +86,34 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     singular_values = np.linalg.svd(stacked[:, present] / sizes[present], compute_uv=False)
     singular_values /= singular_values[0]
     return ObservationRank(int(np.sum(singular_values > RANK_TOLERANCE)), singular_values)
+
+
+@lru_cache(maxsize=ROBOTS_KEPT)
+def _evaluate_links(model: RobotModel, samples: int) -> tuple[Array, Array, Array, Array]:
+    """Return random q, qd and qdd (samples, n), and the columns of the links at these.
+
+    They are (n, samples, 10 n_links), remembered: drives are tried by the dozen.
+    """
+    n = model.n_joints
+    rng = np.random.default_rng(SEED)
+    q = draw_postures(model, rng, samples)
+    qd = rng.normal(scale=2.0, size=(samples, n))
+    qdd = rng.normal(scale=4.0, size=(samples, n))
+    rigid = np.zeros((n, samples, 10 * model.n_links))
+    if model.tree is model:
+        _fill_rigid_body_columns(model, q, qd, qdd, rigid)
+    else:
+        of_tree = np.zeros((model.n_links, samples, 10 * model.n_links))
+        moved = model.joint_map.motion(q, qd, qdd)
+        _fill_rigid_body_columns(model.tree, moved.q, moved.qd, moved.qdd, of_tree)
+        order = np.argsort(model.joint_map.order)
+        by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, order]
+        shares = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
+        rigid[...] = np.einsum("sik,isc->ksc", shares, by_link.reshape(of_tree.shape))
+    rigid[:, :, find_negligible_columns(model)] = 0.0
+    for array in (q, qd, qdd, rigid):
+        array.setflags(write=False)
+    return q, qd, qdd, rigid
 
 
 def find_negligible_columns(model: RobotModel) -> list[int]:

@@ -199,10 +199,7 @@ def regroup_structurally(model: RobotModel, drive: DriveSet) -> Regrouping:
         model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints])
     )
     directions, motions = _relate_links(model, structure.imitable.tobytes())
-    to_link = [
-        shift_matrix(invert_placement(_scale_translation(joint.after, size)))
-        for joint in model.joints
-    ]
+    to_link = _shift_to_links(model)
     scales = _choose_scales(model, drive)
     blocks = _build_null_blocks(model, drive, directions, to_link, structure, scales)
     redundant = (
@@ -232,6 +229,14 @@ def regroup_structurally(model: RobotModel, drive: DriveSet) -> Regrouping:
         model=model,
         structure=structure,
     )
+
+
+@lru_cache(maxsize=DRIVES_KEPT)
+def _shift_to_links(model: RobotModel) -> tuple[Array, ...]:
+    """Return how parameters change from the frame of each joint to that of its link, (10, 10)."""
+    size = characteristic_length(model)
+    placements = [invert_placement(_scale_translation(joint.after, size)) for joint in model.joints]
+    return tuple(map(shift_matrix, placements))
 
 
 @lru_cache(maxsize=DRIVES_KEPT)
