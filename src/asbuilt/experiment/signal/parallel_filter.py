@@ -180,6 +180,8 @@ def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = 
 
 def _flatten_memory(x: Array) -> tuple[Array, int]:
     """Return the memory of an array (m, L) as one row, and where the next of its rows begins."""
+    if x.flags.c_contiguous:
+        return x.reshape(-1), x.shape[1]
     # Views of larger arrays keep their stride.
     stride = x.strides[0] // x.itemsize
     return as_strided(x, ((len(x) - 1) * stride + x.shape[1],), x.strides[1:]), stride

@@ -68,6 +68,8 @@ class RowRules:
 
     samples_at_once: int = 2048
     """Samples, before filtering, whose regressor is held at once."""
+    filtered_at_once: int = 64
+    """Rows that are filtered in one call, which takes as long as four rows of a short block."""
     shortest_block: float = 1.0
     """Shortest time block [s]."""
     usual_blocks: int = 10
@@ -193,7 +195,7 @@ class SampleBlock:
         self, rows: Sequence[Array], further: Sequence[Array], span: slice
     ) -> tuple[Array, ...]:
         """Return rows with further columns (L, n) of their span placed before the torque."""
-        filtered = [self._filter(each) for each in further]
+        filtered = self._filter_columns(further)
         speed = np.abs(self._filter(self.samples.qd[span])) if self.samples.slowest else ()
         found = []
         for k, own in enumerate(rows):
@@ -203,6 +205,17 @@ class SampleBlock:
                 added[:, speed[k] < self.samples.slowest[k]] = 0.0
             found.append(np.concatenate([own[:-1], added, own[-1:]]))
         return tuple(found)
+
+    def _filter_columns(self, columns: Sequence[Array]) -> list[Array]:
+        """Filter columns (L, n) of every joint, some at a time, giving (n, n_outputs) each."""
+        n = len(self.samples.joint_names)
+        at_once = max(1, ROWS.filtered_at_once // n)
+        found = list[Array]()
+        for first in range(0, len(columns), at_once):
+            some = columns[first : first + at_once]
+            filtered = self._filter(np.concatenate(some, axis=1))
+            found += np.split(filtered, len(some))
+        return found
 
     def touches(self, samples: Mask) -> Mask:
         """Return which filtered samples (n_outputs,) have a part in any of some samples (N,)."""
