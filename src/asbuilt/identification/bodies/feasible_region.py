@@ -139,6 +139,18 @@ class FeasibleRegion:
         """Return whether parameters (n_standard,) meet the linear bounds, but for rounding."""
         return bool(np.all(self.bounds.wider(ROUNDING, parameters).slack(parameters) >= 0.0))
 
+    def excludes_zero(self, value: Array) -> bool:
+        """Return whether the estimate alone shows that no body of the region has `value @ chi = 0`.
+
+        All bodies, consistent or not, have it within `radius` standard errors of the estimate.
+        """
+        known = self.find_estimate(value)
+        if known is None:
+            return False
+        estimate, error = known
+        chosen = estimate if self.chosen is None else float(value @ self.chosen)
+        return estimate * chosen > 0.0 and abs(estimate) > (1.0 + ROUNDING) * self.radius * error
+
     def find_estimate(self, value: Array) -> tuple[float, float] | None:
         """Return `value @ chi` with its standard error if the data determine it, else None.
 

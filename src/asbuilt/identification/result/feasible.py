@@ -215,7 +215,7 @@ def feasible_intervals(
     """
     result = result.result
     found = [each for text in quantities or _default(result) for each in _parse(result, text)]
-    allowed = result.once((_find_region, region), lambda: _find_region(result, region))
+    allowed = _recall_region(result, region)
     stated = prior is not None or geometry
     if stated:
         near = None if prior is None else tolerance
@@ -327,13 +327,18 @@ def list_open(
         term = next((term for term in result.base.drive.terms if term.key == effect.effect), None)
         if not effect.in_model or effect.joint is None or term is None:
             continue
-        intervals = [
-            feasible_interval(result, symbol, effect.joint)
-            for symbol in term.symbols
-            if _of_joint(result, symbol, effect.joint)
-        ]
+        symbols = [symbol for symbol in term.symbols if _of_joint(result, symbol, effect.joint)]
+        if any(_excludes_zero(result, symbol, effect.joint) for symbol in symbols):
+            continue
+        intervals = [feasible_interval(result, symbol, effect.joint) for symbol in symbols]
         if intervals and all(each.holds(0.0) and not each.confounded_with for each in intervals):
             yield effect
+
+
+def _excludes_zero(result: IdentificationResult, symbol: str, joint: str) -> bool:
+    """Return whether a drive parameter is not zero by its estimate alone, without a program."""
+    quantity = _of_joint(result, symbol, joint)
+    return quantity is not None and _recall_region(result, "each").excludes_zero(quantity.value)
 
 
 def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[str, float] | None:
@@ -397,6 +402,11 @@ def _divide(
         return None
     ratio = value[0] / divisor[0]
     return ratio, (value[1] + abs(ratio) * divisor[1]) / divisor[0]
+
+
+def _recall_region(result: IdentificationResult, region: Region) -> FeasibleRegion:
+    """Return the region of a result, found once."""
+    return result.once((_find_region, region), lambda: _find_region(result, region))
 
 
 def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion:
