@@ -46,7 +46,7 @@ from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
-from asbuilt.workflow.torque_source import MeasuredTorque, with_servo
+from asbuilt.workflow.torque_source import TorqueSource, with_servo
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.refined_fit import RefinedFit
@@ -119,15 +119,10 @@ def settle_servo(
 
 
 @dataclass(frozen=True, eq=False)
-class CommandedTorque(MeasuredTorque):
-    """Say that a position servo gave the torques, which was identified before the robot."""
+class CommandedTorque(TorqueSource):
+    """Say that a position servo made torques of commands, identified before the robot."""
 
     servo: ServoEstimate
-
-    @property
-    def is_measured(self) -> bool:
-        """They are not: a law makes them of commands and positions."""
-        return False
 
     @property
     def expected(self) -> ExpectedScores | None:

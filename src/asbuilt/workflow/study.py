@@ -59,7 +59,7 @@ from asbuilt.workflow.prepare import (
 )
 from asbuilt.workflow.study_options import BLOCKS, StudyOptions
 from asbuilt.workflow.study_result import conclude_study
-from asbuilt.workflow.torque_source import MeasuredTorque
+from asbuilt.workflow.torque_source import MeasuredTorque, TorqueSource
 
 if TYPE_CHECKING:
     import polars as pl
@@ -367,7 +367,7 @@ def settle_torque(
     validation: Sequence[Recorded],
     options: StudyOptions,
     filters: MotionFilters | None = None,
-) -> tuple[list[Recorded], list[Recorded], MeasuredTorque, StudyOptions]:
+) -> tuple[list[Recorded], list[Recorded], TorqueSource, StudyOptions]:
     """Return recordings with their torque, where it comes from, and the options.
 
     Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
@@ -389,7 +389,7 @@ def _prepare_recordings(
     trained: Sequence[Recorded],
     others: Sequence[Recorded],
     options: StudyOptions,
-    source: MeasuredTorque,
+    source: TorqueSource,
     filters: MotionFilters,
     report: Progress,
 ) -> tuple[Prepared, CutoffSweep | None]:
