@@ -158,7 +158,7 @@ def estimate_servo(
     # An unknown stiffness leaves the noise of the equations without a unit.
     noise = samples if unknown.any() else with_equation_noise(model, samples)
     motions = [
-        CommandedMotion(model, base, recording, chain, holdout, filters, noise[0].noise)
+        CommandedMotion(model, base, recording, chain, holdout, filters, noise[0].reactions.noise)
         for recording in recordings
     ]
 

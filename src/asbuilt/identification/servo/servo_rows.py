@@ -166,7 +166,8 @@ class CommandedMotion:
 
     def _divide(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
-        kept = drop_saturated(replace(samples, noise=self.noise), self.recording)
+        reactions = samples.reactions.in_units_of(self.noise)
+        kept = drop_saturated(replace(samples, reactions=reactions), self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 
     def _list_runs(self) -> Iterable[_Run]:
