@@ -51,6 +51,9 @@ from asbuilt.workflow.torque_source import TorqueSource, with_servo
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.refined_fit import RefinedFit
 
+HORIZON_OF_VERDICT = 0.5
+"""Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
+enough that what is left out does not add up."""
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
 of it is how the robot moves: own choice."""
@@ -128,6 +131,11 @@ class CommandedTorque(TorqueSource):
     def expected(self) -> ExpectedScores | None:
         """Scores that noise of the positions lends the parameters through the law."""
         return self.servo.expected
+
+    @property
+    def decisive_horizons(self) -> tuple[float, ...]:
+        """Torques that were computed decide nothing: motion does."""
+        return (HORIZON_OF_VERDICT,)
 
     @property
     def of_result(self) -> dict[str, Any]:

@@ -67,10 +67,6 @@ if TYPE_CHECKING:
     from asbuilt.workflow.refinement import Refined
     from asbuilt.workflow.rollout import Simulated
 
-HORIZON_OF_VERDICT = 0.5
-"""Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
-enough that what is left out does not add up."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study:
@@ -327,9 +323,9 @@ def identify(
     report("identify", 0.0)
     parts = None
     horizons = options.rollout
-    # A verdict on commands needs simulated motion, where the simulator is installed.
-    if not horizons and not source.is_measured and find_spec("mujoco") is not None:
-        horizons = (HORIZON_OF_VERDICT,)
+    # Simulated motion can decide a verdict only where the simulator is installed.
+    if not horizons and find_spec("mujoco") is not None:
+        horizons = source.decisive_horizons
     if options.refine or horizons:
         from asbuilt.workflow.rollout import select_simulated_parts  # noqa: PLC0415 - light start
 

@@ -58,6 +58,11 @@ class TorqueSource:
         return False
 
     @property
+    def decisive_horizons(self) -> tuple[float, ...]:
+        """Windows [s] of simulated motion without which there is no verdict."""
+        return ()
+
+    @property
     def of_result(self) -> dict[str, Any]:
         """What it adds to a result, by field."""
         return {}

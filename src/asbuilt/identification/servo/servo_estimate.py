@@ -44,7 +44,7 @@ from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, with_e
 
 UNEXPLAINED = 3.0
 """Residual of a second, in residuals of the median second, from which the model lacks its cause:
-contact, or a limit of the servo. Residuals of friction stay below."""
+a collision, or a limit of the servo. Residuals of friction stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,7 +38,7 @@ class BlockRules:
     fewest: int = 5
     """Rows of a joint in a block below which its residual does not count."""
     block: float = 1.0
-    """Length of a time block [s], short enough to leave out contact and little else."""
+    """Length of a time block [s], short enough to leave out a collision and little else."""
     run: int = 8
     """Time blocks whose rows are made at once."""
     most_held: float = 50e6
