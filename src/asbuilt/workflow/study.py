@@ -31,8 +31,8 @@ from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination
 from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.identification.result.summary import Summary, summarise
-from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.registry import divide_settings
+from asbuilt.statistics import USUAL_ALPHA
 from asbuilt.tables import Table, format_share
 from asbuilt.validation import (
     Attribution,

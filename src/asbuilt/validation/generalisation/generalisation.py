@@ -11,6 +11,7 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
+from asbuilt.statistics import estimate_mean_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import Validation
 
@@ -382,7 +383,6 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
         left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
         mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING_FOLDS
         shares = -left / mean
-        error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING_FOLDS)
         # The best prior by held-out error, with its standard error.
-        best = max(best, (float(shares.mean()), error_of_mean))
+        best = max(best, (float(shares.mean()), estimate_mean_error(shares)))
     return best
