@@ -46,6 +46,8 @@ from asbuilt.experiment.virtual.sensors import (
 from asbuilt.findings import Cure
 from asbuilt.ranges import check_choice
 
+FEWEST_HARMONICS = 5
+"""Harmonics of a random motion of any robot, as `random_fourier` has by itself."""
 MeasuredTorque = Literal["sensor", "motor", "current"]
 Seed = np.random.Generator | int | None
 
@@ -266,6 +268,11 @@ class VirtualRobot:
     def engine(self) -> Engine:
         """What computes the motion."""
         return "inverse-dynamics" if self.controller is None else "mujoco"
+
+    def count_harmonics(self, duration: float) -> int:
+        """Return how many harmonics a random motion of a duration [s] needs to show this robot."""
+        fastest = 0.0 if self.controller is None else self.controller.fastest
+        return max(FEWEST_HARMONICS, round(fastest * duration))
 
     @property
     def torque_source(self) -> MeasuredTorque:

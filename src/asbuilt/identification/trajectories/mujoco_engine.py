@@ -11,10 +11,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics import drive_torque, inverse_dynamics
+from asbuilt.experiment.free_base.ground import add_ground
 from asbuilt.experiment.virtual.physics import Physics, import_mujoco
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import SLOWEST
-from asbuilt.identification.trajectories.windows import Windows, add_ground
+from asbuilt.identification.trajectories.windows import Windows
 
 AT_JOINTS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that MuJoCo's joints have, and a constant torque."""
