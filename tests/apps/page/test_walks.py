@@ -192,8 +192,11 @@ def test_a_walk_ends_where_a_new_page_begins(
                 rng.choice(acts(browser, tmp_path, rng))()
                 if rng.random() < 0.3:
                     browser.execute_async_script(SETTLE)
-            # What was refused stays to be mended until it is undone or something is accepted.
             browser.execute_async_script(SETTLE)
+            # Boxes that were ticked wait for the click that identifies with them.
+            browser.execute_script(CLICK, "#effects-button:not([hidden])", 0)
+            browser.execute_async_script(SETTLE)
+            # What was refused stays to be mended until it is undone or something is accepted.
             browser.execute_script(CLICK, "#undo", 0)
             browser.execute_script(ENTER, "export-format", rng.choice([*EXPORTS]))
             browser.execute_async_script(SETTLE)
