@@ -283,9 +283,9 @@ def simulate(
     The parameters of the robot are written next to the recording.
     """
     runs_on = require_known_value("--engine", options.engine, ("mujoco", "inverse-dynamics"))
-    from asbuilt.experiment.virtual.presets import PRESETS
-
-    kind = require_known_value("--preset", options.preset or "ideal", tuple(PRESETS["mujoco"]))
+    kind = require_known_value(
+        "--preset", options.preset or "ideal", ("ideal", "lab", "factory", "servo")
+    )
     model = load_robot_as_built(robot, fixed_base=fixed_base)
 
     carried = None if options.tool is None else tool_from_text(options.tool)

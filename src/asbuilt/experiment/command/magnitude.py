@@ -124,6 +124,37 @@ def _sum_explained(laws: Iterable[MagnitudeLaw | None]) -> float:
     return sum(max(law.explained, 0.0) for law in laws if law is not None)
 
 
+def describe_laws(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
+    """Return what the command explains of magnitudes, to follow a sentence; empty if nothing."""
+    parts = []
+    for kind, what in (
+        ("motor", "motor currents, in proportion to the torque"),
+        ("supply", "supply currents, which grow with the square of the torque"),
+    ):
+        listed = [
+            f"{name} ({100.0 * law.explained:.0f} % explained by the command)"
+            for name, law in zip(names, laws, strict=True)
+            if law is not None and law.holds and law.kind == kind
+        ]
+        if listed:
+            parts.append(f"the magnitudes of {join_names(listed)} are {what}")
+    return f"; {'; '.join(parts)}" if parts else ""
+
+
+def choose_sign_cure(laws: Sequence[MagnitudeLaw | None]) -> Cure:
+    """Return how to use torques of all joints without a sign."""
+    # A sign by the command needs a law at every joint.
+    if all(law is not None and law.holds and law.kind == "motor" for law in laws):
+        return Cure(
+            'write sign = "command" in a recording sheet: the torque then has the sign of the'
+            " control error"
+        )
+    return Cure(
+        "use the commanded positions if the log has them, with torque_source = command",
+        settings={"torque_source": "command"},
+    )
+
+
 def fit_logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
     """Return the laws of magnitudes that were logged with the commands; empty if none were."""
     logged = [

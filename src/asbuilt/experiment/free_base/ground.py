@@ -51,6 +51,44 @@ class Ground:
         below = self.heights - [_choose_radius(contact.radius) for contact in model.contacts]
         return np.asarray(below[..., None] * find_vertical(model))
 
+    def add_to(self, mujoco: Any, spec: Any, model: RobotModel, step: float) -> None:
+        """Add balls at the contacts and a floor that can be moved under each to an `MjSpec`.
+
+        The simulation takes steps of `step` [s].
+        """
+        # As stiff as what stops a joint by dry friction: the heights of feet that stand hold how
+        # far the real floor gives way.
+        stiff = [max(FRICTION_TIME, 2.0 * step), 1.0]
+        level = quaternion_from_rotation(_complete_axes(find_vertical(model)))
+        for contact, normal in zip(model.contacts, self.normals, strict=True):
+            link, placement = model.placed(contact.frame)
+            name = f"ground of {contact.frame}"
+            size = _choose_radius(contact.radius)
+            floor = spec.worldbody.add_body(name=name, mocap=True)
+            shape = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+            floor.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=level, **shape
+            )
+            across = GROUND_SOLE * _complete_axes(normal)[:, :2].T
+            corners = [*across, *-across] if contact.flat else [np.zeros(3)]
+            for number, corner in enumerate(corners):
+                ball = f"{contact.frame} {number}"
+                spec.body(model.link_names[link]).add_geom(
+                    name=ball,
+                    type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                    pos=placement[:3, 3] + corner,
+                    size=[size, 0, 0],
+                    **shape,
+                )
+                spec.add_pair(
+                    name=ball,
+                    geomname1=name,
+                    geomname2=ball,
+                    condim=3,
+                    solref=stiff,
+                    friction=[GROUND_FRICTION, GROUND_FRICTION, 0.0, 0.0, 0.0],
+                )
+
 
 def find_vertical(model: RobotModel) -> Array:
     """Return the upward unit vector (3,) in axes of the world."""
@@ -91,45 +129,6 @@ def measure_ground(
             near = away <= max(horizon, float(np.min(away, initial=np.inf)) + 0.5 * horizon)
             heights[w, k] = np.median(z[stands][near]) if stands.any() else np.min(z) - 1e3
     return Ground(heights, np.array(normals))
-
-
-def add_ground(mujoco: Any, spec: Any, model: RobotModel, ground: Ground, step: float) -> None:
-    """Add balls at the contacts, and a floor that can be moved under each, to a MuJoCo `MjSpec`.
-
-    The simulation takes steps of `step` [s].
-    """
-    # As stiff as what stops a joint by dry friction: the heights of feet that stand hold how far
-    # the real floor gives way.
-    stiff = [max(FRICTION_TIME, 2.0 * step), 1.0]
-    level = quaternion_from_rotation(_complete_axes(find_vertical(model)))
-    for contact, normal in zip(model.contacts, ground.normals, strict=True):
-        link, placement = model.placed(contact.frame)
-        name = f"ground of {contact.frame}"
-        size = _choose_radius(contact.radius)
-        floor = spec.worldbody.add_body(name=name, mocap=True)
-        shape = {"contype": 0, "conaffinity": 0, "mass": 0.0}
-        floor.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=level, **shape
-        )
-        across = GROUND_SOLE * _complete_axes(normal)[:, :2].T
-        corners = [*across, *-across] if contact.flat else [np.zeros(3)]
-        for number, corner in enumerate(corners):
-            ball = f"{contact.frame} {number}"
-            spec.body(model.link_names[link]).add_geom(
-                name=ball,
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                pos=placement[:3, 3] + corner,
-                size=[size, 0, 0],
-                **shape,
-            )
-            spec.add_pair(
-                name=ball,
-                geomname1=name,
-                geomname2=ball,
-                condim=3,
-                solref=stiff,
-                friction=[GROUND_FRICTION, GROUND_FRICTION, 0.0, 0.0, 0.0],
-            )
 
 
 def _choose_radius(radius: float | None) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +13,16 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import Recording, Samples
-from asbuilt.experiment.free_base.ground import Ground, measure_ground
+from asbuilt.experiment.root import root_of
 from asbuilt.findings import Cure
 from asbuilt.identification.trajectories.simulated_robot import (
     DriveSignal,
     choose_driving_signal,
     select_finite,
 )
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.free_base.ground import Ground
 
 FEWEST = 3
 """Fewest samples of a window: the state at its start and two to compare."""
@@ -182,16 +186,18 @@ def cut_windows(
             lower=horizon,
         )
     at = np.array(first)[:, None] + np.arange(length)
+    starts = samples.t[first]
+    ground = model and root_of(model).measure_ground(recording, starts, horizon)
     return Windows(
         samples.source,
         horizon,
         samples.rate,
-        samples.t[first],
+        starts,
         _interpolate_positions(recording, samples.t)[at],
         samples.q[first],
         samples.qd[first],
         signal or choose_driving_signal(recording),
-        None if model is None else measure_ground(model, recording, samples.t[first], horizon),
+        ground,
     )
 
 
