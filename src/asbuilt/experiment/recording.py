@@ -220,10 +220,19 @@ class Recording:
         return int(self.t.size)
 
     @property
+    def has_computed_torque(self) -> bool:
+        """Whether its torque was not measured, but is what a law makes of commands."""
+        return self.torque_source == "command"
+
+    @property
+    def driving_command(self) -> Array | None:
+        """The commands (N, n) from which its torque follows; None where it was measured."""
+        return self.command if self.has_computed_torque else None
+
+    @property
     def drive_law(self) -> PositionServo | None:
         """The law by which commands became torques; None where the torque was measured."""
-        follows = self.torque_source == "command" and self.command is not None
-        return self.servo if follows else None
+        return None if self.driving_command is None else self.servo
 
     @property
     def n_joints(self) -> int:
@@ -241,7 +250,7 @@ class Recording:
         >>> Recording(t=[0.0, 0.01], q=q, tau=tau).has_torque.tolist()
         [False, True]
         """
-        if self.torque_source == "command":
+        if self.has_computed_torque:
             return np.ones(self.n_joints, dtype=np.bool_)
         measured = [_is_signal(*each) for each in zip(self.tau.T, self.q.T, strict=True)]
         undriven = [name in self.undriven for name in self.joint_names]

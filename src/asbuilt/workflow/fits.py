@@ -480,7 +480,7 @@ def _add_effects(
     if stated and model.mixes_joints:
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
     # A command's torque is computed: what a log could lack is sought only if asked for.
-    open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
+    open_to_all = not samples[0].has_computed_torque or isinstance(options.drive, str)
     if not model.mixes_joints and (open_to_all or stated):
         flat = (
             find_plateaus(model, drive, samples, options.block_seconds, kept) if open_to_all else ()

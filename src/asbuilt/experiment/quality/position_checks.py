@@ -164,7 +164,7 @@ class PositionNoise:
         changed = find_changed_rows(finite)
         if grid.rate < 1.0 or not changed[1:].any():
             return None
-        band = choose_band(grid.uniform(), grid.rate, computed=recording.torque_source == "command")
+        band = choose_band(grid.uniform(), grid.rate, computed=recording.has_computed_torque)
         step = find_position_steps([finite[changed]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
         # Quantisation is noise even where the spectrum does not show it.

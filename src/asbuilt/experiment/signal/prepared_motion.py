@@ -239,7 +239,7 @@ def settle_chain(
     The bound is `Samples.clock_bound`.
     """
     chain = _end_response(chain, recording)
-    computed = recording.torque_source == "command"
+    computed = recording.has_computed_torque
     notes = list[str]()
     clock_bound = np.inf
     # Checked before anything is chosen: no cutoff suits such a clock.
@@ -404,7 +404,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
 
 def replace_spikes(recording: Recording) -> Recording:
     """Return the recording with the mean of their neighbours in place of torques that stand out."""
-    if recording.torque_source == "command" or recording.n_samples < FEWEST:
+    if recording.has_computed_torque or recording.n_samples < FEWEST:
         return recording
     tau = np.array(recording.tau)
     found = find_spikes(tau, find_changed_rows(tau, recording.q))

@@ -169,6 +169,11 @@ class Samples:
         return int(self.q.shape[1])
 
     @property
+    def has_computed_torque(self) -> bool:
+        """Whether its torque was not measured, but is what a law makes of commands."""
+        return self.torque_source == "command"
+
+    @property
     def has_torque(self) -> Mask:
         """Which joints have a usable torque channel, shape (n,)."""
         return np.isfinite(self.slowest or np.zeros(self.n_joints))
