@@ -187,7 +187,7 @@ def cut_windows(
         )
     at = np.array(first)[:, None] + np.arange(length)
     starts = samples.t[first]
-    ground = model and root_of(model).measure_ground(recording, starts, horizon)
+    ground = None if model is None else root_of(model).measure_ground(recording, starts, horizon)
     return Windows(
         samples.source,
         horizon,
