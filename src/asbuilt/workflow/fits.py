@@ -39,7 +39,7 @@ from asbuilt.validation.prediction import Validation, predict_both, predict_fric
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.study_options import StudyOptions
 from asbuilt.workflow.tested_choice import LeftOut
-from asbuilt.workflow.torque_source import TorqueSource
+from asbuilt.workflow.torque_source import TorqueOrigin
 
 if TYPE_CHECKING:
     from asbuilt.workflow.refinement import Refined
@@ -88,7 +88,7 @@ class Fits:
     choice: DriveChoice
     effects: Effects
     plateaus: tuple[Plateau, ...]
-    source: TorqueSource
+    source: TorqueOrigin
     refined: Refined | None
     encoders: tuple[EncoderPair, ...] = ()
     left_out: Array | None = None
@@ -108,7 +108,7 @@ def fit_study(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
-    source: TorqueSource,
+    source: TorqueOrigin,
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
@@ -216,7 +216,7 @@ def _fit_all(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
-    source: TorqueSource,
+    source: TorqueOrigin,
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
@@ -274,7 +274,7 @@ class _Fitter:
 
     model: RobotModel
     options: StudyOptions
-    source: TorqueSource
+    source: TorqueOrigin
     kept: KeptRows
 
     def fit(

@@ -46,7 +46,7 @@ from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
-from asbuilt.workflow.torque_source import TorqueSource, with_servo
+from asbuilt.workflow.torque_source import TorqueOrigin, with_servo
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.refined_fit import RefinedFit
@@ -122,7 +122,7 @@ def settle_servo(
 
 
 @dataclass(frozen=True, eq=False)
-class CommandedTorque(TorqueSource):
+class CommandedTorque(TorqueOrigin):
     """Say that a position servo made torques of commands, identified before the robot."""
 
     servo: ServoEstimate

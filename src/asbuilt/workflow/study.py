@@ -59,7 +59,7 @@ from asbuilt.workflow.prepare import (
 )
 from asbuilt.workflow.study_options import BLOCKS, StudyOptions
 from asbuilt.workflow.study_result import conclude_study
-from asbuilt.workflow.torque_source import MeasuredTorque, TorqueSource
+from asbuilt.workflow.torque_source import MeasuredTorque, TorqueOrigin
 
 if TYPE_CHECKING:
     import polars as pl
@@ -363,7 +363,7 @@ def settle_torque(
     validation: Sequence[Recorded],
     options: StudyOptions,
     filters: MotionFilters | None = None,
-) -> tuple[list[Recorded], list[Recorded], TorqueSource, StudyOptions]:
+) -> tuple[list[Recorded], list[Recorded], TorqueOrigin, StudyOptions]:
     """Return recordings with their torque, where it comes from, and the options.
 
     Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
@@ -385,7 +385,7 @@ def _prepare_recordings(
     trained: Sequence[Recorded],
     others: Sequence[Recorded],
     options: StudyOptions,
-    source: TorqueSource,
+    source: TorqueOrigin,
     filters: MotionFilters,
     report: Progress,
 ) -> tuple[Prepared, CutoffSweep | None]:

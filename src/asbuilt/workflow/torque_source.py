@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 
-class TorqueSource:
+class TorqueOrigin:
     """Say where the torques of a study come from, and what of that is to be identified.
 
-    A study asks by these methods. Here nothing is to be identified: a source overrides what it has.
+    A study asks by these methods. Here nothing is to be identified; an origin overrides its part.
     """
 
     @property
@@ -75,7 +75,7 @@ class TorqueSource:
         """Return samples with its delay, where it has one, by name and digest of recordings."""
         return prepared
 
-    def refined(self, refined: RefinedFit) -> TorqueSource:
+    def refined(self, refined: RefinedFit) -> TorqueOrigin:
         """Return it as trajectories show it."""
         return self
 
@@ -92,7 +92,7 @@ class TorqueSource:
         return ()
 
 
-class MeasuredTorque(TorqueSource):
+class MeasuredTorque(TorqueOrigin):
     """Say that torques were measured, by a sensor or as the current of a motor."""
 
     @property

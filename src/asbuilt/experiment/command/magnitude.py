@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,7 +20,10 @@ from asbuilt.findings import Cure, join_names
 from asbuilt.scaled import Scaled
 
 Kind = Literal["motor", "supply"]
-KINDS: tuple[Kind, ...] = ("motor", "supply")
+KINDS: Mapping[Kind, str] = {
+    "motor": "motor currents, in proportion to the torque",
+    "supply": "supply currents, which grow with the square of the torque",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +130,7 @@ def _sum_explained(laws: Iterable[MagnitudeLaw | None]) -> float:
 def describe_laws(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
     """Return what the command explains of magnitudes, to follow a sentence; empty if nothing."""
     parts = []
-    for kind, what in (
-        ("motor", "motor currents, in proportion to the torque"),
-        ("supply", "supply currents, which grow with the square of the torque"),
-    ):
+    for kind, what in KINDS.items():
         listed = [
             f"{name} ({100.0 * law.explained:.0f} % explained by the command)"
             for name, law in zip(names, laws, strict=True)
@@ -199,7 +199,7 @@ def sign_by_command(recording: Recording, unused: Collection[str] = ()) -> Recor
     laws = fit_magnitude_laws(recording)
     for kind, what in (
         (None, "do not follow the command"),
-        ("supply", "are supply currents, which grow with the square of the torque"),
+        ("supply", f"are {KINDS['supply']}"),
     ):
         bad = [
             name

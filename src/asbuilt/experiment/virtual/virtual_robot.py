@@ -48,7 +48,7 @@ from asbuilt.ranges import check_choice
 
 FEWEST_HARMONICS = 5
 """Harmonics of a random motion of any robot, as `random_fourier` has by itself."""
-MeasuredTorque = Literal["sensor", "motor", "current"]
+SensedTorque = Literal["sensor", "motor", "current"]
 Seed = np.random.Generator | int | None
 
 _FOLLOW = Cure("choose the preset of another engine")
@@ -141,7 +141,7 @@ class VirtualRobot:
     controller: PositionController | JointServo | None = field(default_factory=PositionController)
     sensors: SensorNoise = PERFECT_SENSORS
     logger: DataLogger = field(default_factory=DataLogger)
-    torque: MeasuredTorque = "motor"
+    torque: SensedTorque = "motor"
     behind: float = 1.0
     name: str = "custom"
 
@@ -275,7 +275,7 @@ class VirtualRobot:
         return max(FEWEST_HARMONICS, round(fastest * duration))
 
     @property
-    def torque_source(self) -> MeasuredTorque:
+    def torque_source(self) -> SensedTorque:
         """What measured the torque that is logged."""
         if isinstance(self.train, TermDrives):
             return "motor" if "armature" in self.train.drive.keys else "sensor"
