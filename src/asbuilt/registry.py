@@ -113,16 +113,23 @@ def find_app_modules(name: str) -> list[str]:
     It is how the core gets what apps add: it looks for a name in the apps that are installed, and
     knows none of them.
     """
+    return [module for each, module in _list_app_modules() if each == name]
+
+
+@cache
+def _list_app_modules() -> list[tuple[str, str]]:
+    """Return the apps that are installed, and the modules and packages in each, with their names.
+
+    An app stands before what is in it.
+    """
     package = find_spec(APPS)
     places = [] if package is None else list(package.submodule_search_locations or ())
     found = []
     for place in places:
         for app in pkgutil.iter_modules([place]):
-            if app.name == name:
-                found.append(f"{APPS}.{name}")
+            found.append((app.name, f"{APPS}.{app.name}"))
             for module in pkgutil.iter_modules([f"{place}/{app.name}"]):
-                if module.name == name:
-                    found.append(f"{APPS}.{app.name}.{name}")
+                found.append((module.name, f"{APPS}.{app.name}.{module.name}"))
     return found
 
 
