@@ -47,3 +47,30 @@ def test_confounded_parameters_solve_the_program_of_all_directions(
     others, own = region.find_confounded(value)
     assert set(others) | set(own) == named
     assert own == (parameter,)
+
+
+@pytest.mark.parametrize("errors", [1e-3, 0.3, 0.6, 3.0])
+def test_a_value_that_excludes_zero_has_no_zero_in_its_interval(errors: float) -> None:
+    model = load_robot("ur10e")
+    base = find_base_parameters(model, DRIVE)
+    prior = build_cad_prior(model, DRIVE)
+    parameters = prior.parameters.copy()
+    place = base.standard_names.index("Fv2")
+    parameters[place] = 1.0
+    # Of the friction alone: its standard error, in units of its value.
+    size = np.maximum(np.abs(base.regrouping @ parameters), 1.0)
+    region = FeasibleRegion(
+        prior,
+        base,
+        base.regrouping @ parameters,
+        np.diag(1.0 / (errors * size)),
+        bound_with_certainty(prior),
+        4.0,
+    )
+    value = np.zeros(base.n_standard)
+    value[place] = 1.0
+
+    least, greatest = region.find_interval(value)
+    assert region.excludes_zero(value) == region.excludes_zero(-value) == (2.0 * errors < 1.0)
+    assert not region.excludes_zero(value) or least > 0.0
+    assert greatest >= 1.0
