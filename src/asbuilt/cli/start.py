@@ -25,6 +25,8 @@ def run() -> None:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+    # To look for plugins, pydantic reads the metadata of all that is installed.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     gc.set_threshold(YOUNG_OBJECTS, *gc.get_threshold()[1:])
     ended = list[int]()
     # What is registered first comes last: files and workers of others are done with by then.
