@@ -69,7 +69,7 @@ class RowRules:
     samples_at_once: int = 2048
     """Samples, before filtering, whose regressor is held at once."""
     filtered_at_once: int = 64
-    """Rows that are filtered in one call, which takes as long as four rows of a short block."""
+    """Rows that are filtered in one call: of a short block the call takes longer than its rows."""
     shortest_block: float = 1.0
     """Shortest time block [s]."""
     usual_blocks: int = 10
