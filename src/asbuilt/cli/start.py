@@ -54,10 +54,11 @@ def _leave(ended: list[int]) -> None:
     the exit status if the command line came to its end; else Python has to say what happened.
     """
     if ended:
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(ended[0])
+        # What cannot be written is for Python to say.
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(ended[0])
     gc.freeze()
 
 
