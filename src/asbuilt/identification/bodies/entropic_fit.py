@@ -86,11 +86,13 @@ class EntropicFits:
     duals: Array
     multipliers: Array
 
-    @property
-    def last(self) -> EntropicFits:
-        """The fit of the last problem alone."""
+    def repeat_last(self, m: int) -> EntropicFits:
+        """Return the fit of the last problem as the start of m others."""
         return EntropicFits(
-            *(array[-1:] for array in (self.chi, self.values, self.duals, self.multipliers))
+            *(
+                np.repeat(array[-1:], m, axis=0)
+                for array in (self.chi, self.values, self.duals, self.multipliers)
+            )
         )
 
 

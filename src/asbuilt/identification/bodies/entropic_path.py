@@ -30,6 +30,8 @@ TO_THE_DATA: tuple[float, ...] = (*DESCENT, 1e-2, 1e-3, 1e-4)
 CLOSE = 0.01
 """Relative distance of the chi-square from its limit at which the search for the weight ends."""
 MOST_HALVINGS = 20
+ROUGH = 1e-3
+"""Squared distance from the minimum, in squared standard errors, at which a rough fit ends."""
 
 
 START_PARTS = (1e-2, 1e-3, 1e-4)
@@ -67,11 +69,18 @@ class EntropicPath:
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
         self._factors = factors
-        # Squared distance from the minimum, in squared standard errors, at which a rough fit ends.
         self._reached[weight] = self._problem.fit(
-            factors, weight, start, barrier=barrier, close=1e-3
+            factors, weight, start, barrier=barrier, close=ROUGH
         )
         return self._reached[weight].chi
+
+    def fit_beside(self, factors: Array, weight: float) -> Array:
+        """Return rough fits (m, n_standard) of other factors, from the last fit of this weight.
+
+        Parts of the same data have their minima near it, so none goes all the way from CAD.
+        """
+        start = self._reached[weight].repeat_last(len(factors))
+        return self._problem.fit(factors, weight, start, close=ROUGH).chi
 
     def fit_unbarred(self, factors: Array, weight: float) -> Array:
         """Return rough fits in which CAD, not the barrier, decides what factors leave open.
@@ -91,7 +100,7 @@ class EntropicPath:
                     self.fit_roughly(factor[None], stronger_weight)
             self.fit_roughly(factor[None], weight)
         return np.asarray(
-            self._problem.fit(factor[None], weight, self._reached[weight].last).chi[0]
+            self._problem.fit(factor[None], weight, self._reached[weight].repeat_last(1)).chi[0]
         )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.errors import AsbuiltError
+from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously, bound_with_certainty
 from asbuilt.identification.bodies.cad_prior import (
@@ -355,51 +355,52 @@ def _fit_toward_cad(
     if not weights:
         return candidates
     of_joints = consistent.weights
+    K = information.base.regrouping
     path = EntropicPath(prior, information.base, bound_with_certainty(prior))
     rough, weights = _fit_supported_weights(
         path,
-        np.array([part.stacked(of_joints) for part in (*trainings, information)]),
+        information.stacked(of_joints)[None],
         weights,
         lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
     )
+    parts = np.array([part.stacked(of_joints) for part in trainings])
     for k, weight in enumerate(weights):
         name = f"entropic (weight {weight:.3g})"
         # From the weakest, which every fit has: other samples support other strong ones.
         kind = f"entropic {len(weights) - k}"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
-        if weight in rough:
-            # The last row is the fit to all blocks.
-            *folds, whole = rough[weight] @ information.base.regrouping.T
-            candidates.known.append(
-                Candidate(name, weight, np.array(folds), fit=fit, kind=kind, beta=whole)
-            )
-        else:
+        try:
+            (whole,) = rough[weight] @ K.T
+            folds = path.fit_beside(parts, weight) @ K.T if trainings else np.zeros((0, len(K)))
+        except (KeyError, IdentifiabilityError):
             candidates.failed.append(name)
+            continue
+        candidates.known.append(Candidate(name, weight, folds, fit=fit, kind=kind, beta=whole))
     return candidates
 
 
 def _fit_supported_weights(
     path: EntropicPath,
-    factors: Array,
+    whole: Array,
     weights: list[float],
     supported: Callable[[Array, float], float],
 ) -> tuple[dict[float, Array], list[float]]:
-    """Return rough fits by weight, and the weights that the distance from CAD supports.
+    """Return rough fits (1, n_standard) by weight, and the weights that their distance supports.
 
-    The last factor is of all blocks. Weights above the one that its fit with the strongest
-    weight supports give way to it; the weakest always stays. At weaker weights model errors take
-    links further from CAD than its tolerance does.
+    They are of all blocks, `whole` (1, p + 1, p + 1). Weights above the one that the fit with the
+    strongest weight supports give way to it; the weakest always stays. At weaker weights model
+    errors take links further from CAD than its tolerance does.
     """
     # The weights are beliefs times the design effect, the last belief being the weakest.
     effect = weights[-1] / SELECTION_BELIEFS[-1]
-    rough = path.fit_descending(factors, weights)
+    rough = path.fit_descending(whole, weights)
     fitted = [weight for weight in weights if weight in rough]
     if not fitted:
         return rough, weights
-    limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), SELECTION_BELIEFS[-1])
+    limit = effect * max(supported(rough[fitted[0]][0], fitted[0]), SELECTION_BELIEFS[-1])
     kept = [weight for weight in weights if weight <= limit]
     if len(kept) < len(weights) and limit > kept[0]:
-        rough |= path.fit_descending(factors, [limit])
+        rough |= path.fit_descending(whole, [limit])
         kept = [limit, *kept]
     return rough, kept
 
