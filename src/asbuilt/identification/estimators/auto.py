@@ -325,7 +325,10 @@ def _fit_candidates(
         consistent,
         WEAKEST_BELIEF,
         lambda: np.array(
-            [K @ conic.fit(training.stacked(of_joints)) for training in select_trainings()]
+            [
+                K @ conic.fit(training.stacked(of_joints), rough=True)
+                for training in select_trainings()
+            ]
         ),
     )
     candidates.add(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 from scipy.special import stdtrit
 
 from asbuilt.arrays import Array, Indices
@@ -303,8 +303,9 @@ def _evaluate_leverage(rows: Array, gram: Array, prior: Array) -> float:
     if np.any(prior):
         # With a prior the matrix is positive definite; else only what is determined has a leverage.
         scaled = total.matrix / np.outer(total.size, total.size)
-        seen = rows / total.size
-        return float(np.sum(seen.T * cho_solve(cho_factor(scaled), seen.T)))
+        root = np.linalg.cholesky(scaled)
+        seen = solve_triangular(root, (rows / total.size).T, lower=True, check_finite=False)
+        return float(np.sum(seen**2))
     return float(np.sum(total.whiten(rows.T) ** 2))
 
 
