@@ -9,7 +9,11 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
+from asbuilt.identification.estimators.least_squares import (
+    estimate_wls,
+    fit_least_squares,
+    solve_squares,
+)
 from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
 from asbuilt.identification.information.rows import RowBlock, Rows
@@ -146,7 +150,7 @@ def reweight(
             sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
             # An infinite scale is a weight of 0.
             sigma[~information.has_torque] = np.inf
-        whole = np.zeros((len(root), len(root) + 1))
+        whole = np.zeros((len(root) + 1, len(root) + 1))
         sums = [np.zeros((places.size, places.size + 1)) for places in support]
         for b, rows in enumerate(parts()):
             for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
@@ -158,16 +162,23 @@ def reweight(
                 # A product with itself takes half of the work of another.
                 np.add(total, (weighted @ weighted.T)[:-1], out=total)
         for places, total in zip(support, sums, strict=True):
-            whole[np.ix_(places, places)] += total[:, :-1]
-            whole[places, -1] += total[:, -1]
-        gram = root.T @ whole[:, :-1] @ root
-        score = root.T @ whole[:, -1]
-        step = Scaled(gram).solve(score)
-        beta = beta + root @ step
+            whole[np.ix_(places, np.append(places, len(root)))] += total
+        step = _solve_step(whole, root)
+        beta = beta + step
         # In units of the information: the length is in standard errors of all parameters together.
-        converged = bool(step @ gram @ step <= ROBUST.step**2)
+        converged = bool(step @ whole[:-1, :-1] @ step <= ROBUST.step**2)
         iterations += 1
     return Reweighted(beta, sigma, iterations, converged)
+
+
+def _solve_step(normal: Array, root: Array) -> Array:
+    """Return the step (p,) of normal equations (p + 1, p + 1); a root (p, r) has what counts."""
+    found = solve_squares(normal)
+    if found is not None:
+        return found[0]
+    # Where columns alone do not say which directions count, the coordinates of the root do.
+    gram = root.T @ normal[:-1, :-1] @ root
+    return np.asarray(root @ Scaled(gram).solve(root.T @ normal[:-1, -1]))
 
 
 @use_one_blas_thread()
