@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -39,9 +39,9 @@ from asbuilt.identification.estimators.consistent_fit import (
 )
 from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
+    Folds,
     MotionChoice,
     choose_candidate,
-    divide_into_folds,
     group_different_motions,
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
@@ -195,12 +195,12 @@ def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Cho
     only = _fit_kind_alone(data, prior, free, consistent, weights) if data.kind else None
     if only is not None:
         return lambda _: only
-    folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
-    parts = [(used.together(), held.together()) for used, held in folds]
-    if len(parts) < SELECTION_FEWEST_FOLDS:
+    groups = group_different_motions(information, consistent.weights)
+    if len(groups) < SELECTION_FEWEST_FOLDS:
         usual = _fit_usual_weight(data, prior, free, consistent)
         return lambda _: usual
-    candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
+    folds = Folds.of(information, groups, consistent.weights)
+    candidates = _fit_candidates(information, prior, free, consistent, weights, folds)
     rates = None if data.samples is None else measure_recorded_rates(data.samples)
     motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
     # Rows are sample-major, so the weights of the joints repeat.
@@ -213,7 +213,7 @@ def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Cho
         candidates,
         lambda: choose_candidate(
             candidates.known,
-            parts,
+            folds,
             information,
             consistent.weights,
             prior_information(information, prior),
@@ -256,7 +256,7 @@ def _with_drive_prior(
     information: SquareRootInformation, free: Estimate, prior: CadPrior
 ) -> Estimate:
     """Return least squares with the prior of drive parameters, alike where they are determined."""
-    x, root = _solve_with_drive_rows(information, free.weights, prior)
+    x, root = _solve_with_drive_rows(information.stacked(free.weights), information, prior)
     solution = replace(free.solution, x=x, inverse_root=root)
     return free.renewed(
         free.method, information, solution, own_information=free.information, notes=free.notes
@@ -264,11 +264,11 @@ def _with_drive_prior(
 
 
 def _solve_with_drive_rows(
-    information: SquareRootInformation, weights: Array, prior: CadPrior
+    factor: Array, information: SquareRootInformation, prior: CadPrior
 ) -> tuple[Array, Array]:
-    """Return least squares with the prior of drive parameters (p,), and its inverse root."""
+    """Return least squares of a factor with the prior of drives (p,), and its inverse root."""
     return solve_fast(
-        with_drive_rows(information.stacked(weights), information.base, prior),
+        with_drive_rows(factor, information.base, prior),
         information.n_rows,
         information.base.regrouping @ prior.parameters,
     )
@@ -307,38 +307,27 @@ def _fit_candidates(
     free: Estimate,
     consistent: ConsistentEstimate,
     weights: list[float],
-    parts: list[tuple[SquareRootInformation, SquareRootInformation]],
+    folds: Folds,
 ) -> _Candidates:
-    """Return the candidates, the closest to CAD first, fitted without each part in turn."""
-    trainings = [training for training, _ in parts]
-    candidates = _fit_toward_cad(information, prior, consistent, weights, trainings)
-    of_joints = consistent.weights
+    """Return the candidates, the closest to CAD first, fitted without each group in turn."""
+    candidates = _fit_toward_cad(information, prior, consistent, weights, folds.used)
     K = information.base.regrouping
-
-    def select_trainings() -> Iterator[SquareRootInformation]:
-        for training, _ in parts:
-            refuse_few_rows(training)
-            yield training
-
     conic = ConicProblem(prior, K, bound_generously(prior))
+
+    def fit_each(fit: Callable[[Array], Array]) -> Array:
+        refuse_few_rows(information, left_out=int(folds.counts.max()))
+        return np.array([fit(factor) for factor in folds.used])
+
     candidates.add(
         consistent,
         WEAKEST_BELIEF,
-        lambda: np.array(
-            [
-                K @ conic.fit(training.stacked(of_joints), rough=True)
-                for training in select_trainings()
-            ]
-        ),
+        lambda: fit_each(lambda factor: K @ conic.fit(factor, rough=True)),
     )
     candidates.add(
         free,
         0.0,
-        lambda: np.array(
-            [
-                _solve_with_drive_rows(training, of_joints, prior)[0]
-                for training in select_trainings()
-            ]
+        lambda: fit_each(
+            lambda factor: _solve_with_drive_rows(factor, information, prior)[0],
         ),
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
@@ -351,9 +340,9 @@ def _fit_toward_cad(
     prior: CadPrior,
     consistent: ConsistentEstimate,
     weights: list[float],
-    trainings: Sequence[SquareRootInformation] = (),
+    parts: Array | None = None,
 ) -> _Candidates:
-    """Return the candidates with a weight of CAD, fitted to each training part as well."""
+    """Return the candidates with a weight of CAD, fitted to factors of parts (m, ...) as well."""
     candidates = _Candidates()
     if not weights:
         return candidates
@@ -366,7 +355,6 @@ def _fit_toward_cad(
         weights,
         lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
     )
-    parts = np.array([part.stacked(of_joints) for part in trainings])
     for k, weight in enumerate(weights):
         name = f"entropic (weight {weight:.3g})"
         # From the weakest, which every fit has: other samples support other strong ones.
@@ -374,11 +362,13 @@ def _fit_toward_cad(
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
         try:
             (whole,) = rough[weight] @ K.T
-            folds = path.fit_beside(parts, weight) @ K.T if trainings else np.zeros((0, len(K)))
+            betas = np.zeros((0, len(K)))
+            if parts is not None:
+                betas = path.fit_beside(parts, weight) @ K.T
         except (KeyError, IdentifiabilityError):
             candidates.failed.append(name)
             continue
-        candidates.known.append(Candidate(name, weight, folds, fit=fit, kind=kind, beta=whole))
+        candidates.known.append(Candidate(name, weight, betas, fit=fit, kind=kind, beta=whole))
     return candidates
 
 

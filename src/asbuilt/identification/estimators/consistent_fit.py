@@ -29,7 +29,7 @@ from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.estimators.held_out_choice import choose_weight
-from asbuilt.identification.estimators.least_squares import fit_least_squares, joint_noise
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.information.estimate import (
     Estimate,
@@ -202,7 +202,8 @@ def _fit_joint_weights(
     quietest = quietest_noise(information)
     base = information.base
     # Only the residuals count here, so that undetermined directions may have any value.
-    w = 1.0 / np.maximum(joint_noise(information, np.zeros(base.n_base)), quietest)
+    free = fit_least_squares(information, weights="joint", prior=np.zeros(base.n_base))
+    w = 1.0 / np.maximum(free.sigma, quietest)
     for _ in range(REWEIGHTINGS):
         energy = information.residual_energy(base.regrouping @ problem.fit(information.stacked(w)))
         w = 1.0 / np.maximum(np.sqrt(energy / information.n_samples), quietest)

@@ -14,8 +14,7 @@ from asbuilt.arrays import Array, Indices
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
 REFLECTORS_AT_ONCE = 16
-"""Columns that one block reflector takes: up to 100 columns 8 to 32 take the same time, and of 600
-columns 8 take twice as long."""
+"""Columns of a triangle that one block reflector takes: of 8 to 32 none is faster."""
 FEW_COLUMNS = 100
 """Columns up to which one factor of all rows takes less time than many small ones do."""
 NEGLIGIBLE_COEFFICIENT = 1e-6
@@ -215,9 +214,10 @@ class GrowingFactor:
         # Rows of zeros in front make the factor square, and give up to half a digit more.
         before = np.zeros((self._p, self._p)) if self._known is None else self._known
         rows = np.concatenate([before, self._rows[:, : self._filled]], axis=1).T
-        # The panels of `geqrf` are as wide as most of these matrices, so it works by vectors: with
-        # 30 to 60 columns `geqrt` takes half of its time.
-        lapack.dgeqrt(min(REFLECTORS_AT_ONCE, self._p), rows, overwrite_a=True)
+        # Columns that one block reflector takes. The panels of `geqrf` are as wide as these
+        # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
+        # time.
+        lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
         # Below the diagonal the reflections are left, and go.
         self._known = np.tril(rows[: self._p].T)
         self._filled = 0
