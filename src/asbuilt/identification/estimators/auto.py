@@ -116,7 +116,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
     reasons = []
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // SELECTION_SCREENED))
-        robust = reweight(sample, HUBER, estimate, together=True)
+        robust = reweight(sample, HUBER, estimate, roughly=True)
         share, ratio = estimate_outlying_share(sample, robust)
         if share > SELECTION_OUTLYING_SHARE or ratio > SELECTION_OUTLYING_VARIANCE:
             estimate = continue_huber(data, estimate)

@@ -40,6 +40,8 @@ class RobustRules:
     """Iterations after which the scales are held fixed, so that the steps converge."""
     step: float = 1e-6
     """Length of the last step, in standard errors of all parameters together."""
+    rough_step: float = 1e-2
+    """The same where outliers are counted, whose number and variance then have three digits."""
     least_slope: float = 0.1
     """Least mean of rho'', of a joint or along a direction."""
     outlying: float = 4.0
@@ -128,11 +130,12 @@ def reweight(
     start: Estimate,
     scale: Array | None = None,
     *,
-    together: bool = False,
+    roughly: bool = False,
 ) -> Reweighted:
     """Repeat weighted least squares with weights by the residuals, from an estimate on.
 
-    The rows of all blocks `together` are faster, and round what data hardly determine otherwise.
+    `roughly` is enough to count outliers: it ends sooner, and takes the rows of all blocks
+    together, which is faster and rounds what data hardly determine otherwise.
     """
     information = data.information
     support = data.rows.support
@@ -142,7 +145,8 @@ def reweight(
     sigma = start.sigma if scale is None else scale
     iterations = 0
     converged = False
-    parts = data.rows.parts if together else data.rows.by_block
+    parts = data.rows.parts if roughly else data.rows.by_block
+    close = ROBUST.rough_step if roughly else ROBUST.step
     while not converged and iterations < ROBUST.most_iterations:
         residuals = _evaluate_residuals(parts(), support, beta)
         if scale is None and iterations < ROBUST.scale_iterations:
@@ -166,7 +170,7 @@ def reweight(
         step = _solve_step(whole, root)
         beta = beta + step
         # In units of the information: the length is in standard errors of all parameters together.
-        converged = bool(step @ whole[:-1, :-1] @ step <= ROBUST.step**2)
+        converged = bool(step @ whole[:-1, :-1] @ step <= close**2)
         iterations += 1
     return Reweighted(beta, sigma, iterations, converged)
 
