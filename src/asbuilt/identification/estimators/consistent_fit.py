@@ -8,7 +8,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, solve_triangular
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
@@ -38,7 +38,6 @@ from asbuilt.identification.information.estimate import (
     residual_deviation,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import join_factors, triangular_factor
 
 Metric = Literal["entropic", "euclidean"]
 
@@ -298,10 +297,7 @@ def choose_cad_weight(
 def _stack_rows(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array
 ) -> tuple[Array, Array, Array]:
-    """Return rows of the data, of CAD with unit weight, and of drives and known masses.
-
-    Those of the data are a triangular factor (n_standard, n_standard), zero below its first p rows.
-    """
+    """Return rows of the data, of CAD with unit weight, and of drives and known masses."""
     coordinates = Coordinates.of(information.base)
     free = np.hstack([coordinates.kept, coordinates.dependent])
     inertial = 10 * prior.n_links
@@ -311,17 +307,22 @@ def _stack_rows(
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
     drives = np.sqrt(prior.drive_weight) / prior.drive_scale[:, None] * free[inertial:]
     known = _weigh_known_masses(prior) @ free
-    p = information.base.n_base
-    data = np.zeros_like(free)
-    data[:p, :p] = information.stacked(weights)[:-1, :-1]
-    return data, bodies, np.vstack([drives, known])
+    R = information.stacked(weights)[:-1, :-1]
+    return (
+        np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))]),
+        bodies,
+        np.vstack([drives, known]),
+    )
 
 
 def _invert_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
     """Return the inverse of the triangular root of the information."""
     # QR of the stacked rows: the information itself would square their condition.
-    triangle = join_factors(data, np.vstack([np.sqrt(belief) * bodies, others]))
-    return np.asarray(lapack.dtrtri(triangle)[0])
+    triangle, _, _, _ = lapack.dgeqrf(
+        np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, others])), overwrite_a=True
+    )
+    p = data.shape[1]
+    return np.asarray(solve_triangular(np.triu(triangle[:p]), np.eye(p)))
 
 
 def _estimate_weight(
@@ -345,4 +346,5 @@ def _estimate_belief_and_root(
     )
     wide = _invert_root(data, bodies, others, belief)[: information.base.n_base]
     # A second QR makes the root of beta's covariance square.
-    return belief, triangular_factor(wide.T).T
+    triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
+    return belief, np.asarray(np.triu(triangle[: len(wide)]).T)

@@ -49,10 +49,9 @@ def widen_factor(factor: Array, support: Indices, p: int) -> Array:
 
 
 def join_factors(one: Array, other: Array) -> Array:
-    """Return the triangular factor of a triangular factor (p, p) and other rows (m, p) together.
+    """Return the triangular factor of the rows of two triangular factors (p, p) together.
 
-    It takes half of what a factor of their stack does, which has no zeros to rely on, and a fifth
-    if the other rows are triangular too.
+    It takes a fifth of what a factor of their stack does, which has no zeros to rely on.
     """
     return _make_diagonal_positive(_absorb(np.array(one, order="F"), other))
 

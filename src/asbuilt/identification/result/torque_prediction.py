@@ -259,7 +259,7 @@ def pair_with_measured(model: RobotModel, samples: Samples, torque: Array) -> Pr
     joints without a torque channel are NaN.
     """
     # Torques are compared in their unit, not in that of the noise.
-    plain = replace(samples.reactions, noise=())
+    plain = samples.reactions.in_units_of(())
     if plain:
         tau, raw, torque = (
             plain.project_torque(model, samples.q, each)
