@@ -315,7 +315,7 @@ def _fit_candidates(
     conic = ConicProblem(prior, K, bound_generously(prior))
 
     def fit_each(fit: Callable[[Array], Array]) -> Array:
-        refuse_few_rows(information, left_out=int(folds.counts.max()))
+        refuse_few_rows(information, part=1.0 - folds.counts.max() / folds.counts.sum())
         return np.array([fit(factor) for factor in folds.used])
 
     candidates.add(
@@ -326,9 +326,7 @@ def _fit_candidates(
     candidates.add(
         free,
         0.0,
-        lambda: fit_each(
-            lambda factor: _solve_with_drive_rows(factor, information, prior)[0],
-        ),
+        lambda: fit_each(lambda factor: _solve_with_drive_rows(factor, information, prior)[0]),
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
