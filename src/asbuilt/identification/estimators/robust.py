@@ -134,8 +134,8 @@ def reweight(
 ) -> Reweighted:
     """Repeat weighted least squares with weights by the residuals, from an estimate on.
 
-    `roughly` is enough to count outliers: it ends sooner, and takes the rows of all blocks
-    together, which is faster and rounds what data hardly determine otherwise.
+    `roughly` is enough to count outliers: it ends sooner, solves by squares, and takes the rows of
+    all blocks together, which is faster and rounds what data hardly determine otherwise.
     """
     information = data.information
     support = data.rows.support
@@ -167,7 +167,7 @@ def reweight(
                 np.add(total, (weighted @ weighted.T)[:-1], out=total)
         for places, total in zip(support, sums, strict=True):
             whole[np.ix_(places, np.append(places, len(root)))] += total
-        step = _solve_step(whole, root)
+        step = _solve_step(whole, root, roughly=roughly)
         beta = beta + step
         # In units of the information: the length is in standard errors of all parameters together.
         converged = bool(step @ whole[:-1, :-1] @ step <= close**2)
@@ -175,12 +175,12 @@ def reweight(
     return Reweighted(beta, sigma, iterations, converged)
 
 
-def _solve_step(normal: Array, root: Array) -> Array:
+def _solve_step(normal: Array, root: Array, *, roughly: bool) -> Array:
     """Return the step (p,) of normal equations (p + 1, p + 1); a root (p, r) has what counts."""
-    found = solve_squares(normal)
+    # A tenth of the time of eigenvalues, and half of the digits.
+    found = solve_squares(normal) if roughly else None
     if found is not None:
         return found[0]
-    # Where columns alone do not say which directions count, the coordinates of the root do.
     gram = root.T @ normal[:-1, :-1] @ root
     return np.asarray(root @ Scaled(gram).solve(root.T @ normal[:-1, -1]))
 
