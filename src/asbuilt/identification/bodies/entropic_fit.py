@@ -383,7 +383,7 @@ class _Search:
         """Return values and Cholesky roots of the links; infinite values outside."""
         problem = self.problem
         n = self.problem.inertial
-        bodies = q[:, :n].reshape(len(q), -1, 10)
+        bodies = q[:, :n].reshape(len(q), n // 10, 10)
         drives = q[:, n:] - problem.q0[n:]
         roots = _factor_matrices(smat(bodies))
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -240,7 +241,8 @@ def _fit_kind_alone(
         consistent.method: lambda: consistent,
     }
     if weights and data.kind not in fits:
-        near_cad = _fit_toward_cad(information, prior, consistent, weights)
+        no_parts = np.zeros((0, information.base.n_base + 1, information.base.n_base + 1))
+        near_cad = _fit_toward_cad(information, prior, consistent, weights, no_parts)
         fits |= {each.kind: each.fit for each in near_cad.known if each.fit}
     if data.kind not in fits:
         return None
@@ -338,9 +340,9 @@ def _fit_toward_cad(
     prior: CadPrior,
     consistent: ConsistentEstimate,
     weights: list[float],
-    parts: Array | None = None,
+    parts: Array,
 ) -> _Candidates:
-    """Return the candidates with a weight of CAD, fitted to factors of parts (m, ...) as well."""
+    """Return the candidates with a weight of CAD, fitted to m parts (m, p + 1, p + 1) as well."""
     candidates = _Candidates()
     if not weights:
         return candidates
@@ -353,20 +355,22 @@ def _fit_toward_cad(
         weights,
         lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
     )
+    folds = dict[float, Array]()
+    for weight in (weight for weight in weights if weight in rough):
+        with suppress(IdentifiabilityError):
+            folds[weight] = path.fit_beside(parts, weight)
     for k, weight in enumerate(weights):
         name = f"entropic (weight {weight:.3g})"
         # From the weakest, which every fit has: other samples support other strong ones.
         kind = f"entropic {len(weights) - k}"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
-        try:
+        if weight in folds:
             (whole,) = rough[weight] @ K.T
-            betas = np.zeros((0, len(K)))
-            if parts is not None:
-                betas = path.fit_beside(parts, weight) @ K.T
-        except (KeyError, IdentifiabilityError):
+            candidates.known.append(
+                Candidate(name, weight, folds[weight] @ K.T, fit=fit, kind=kind, beta=whole)
+            )
+        else:
             candidates.failed.append(name)
-            continue
-        candidates.known.append(Candidate(name, weight, betas, fit=fit, kind=kind, beta=whole))
     return candidates
 
 
