@@ -194,3 +194,23 @@ def test_a_path_gives_the_fits_of_the_factors_that_are_asked(trial):
     assert away @ away < 1e-2
     moved = path.fit_exactly(other, 1.0)
     assert np.linalg.norm(factor[:-1, :-1] @ (case.base.regrouping @ (moved - exact))) > 1.0
+
+
+def test_fits_beside_another_are_those_all_the_way_from_cad(trial):
+    case = trial("two-link", "viscous,coulomb", noise=0.1, seed=3, duration=20.0)
+    whole = factor_of(case)
+    noise = np.sqrt(case.information.torque_energy / case.information.n_samples) * 0.05
+    parts = np.array(
+        [case.information.select(part).stacked(1.0 / noise) for part in ([0, 1], [2, 3])]
+    )
+    bounds = bound_passive_drives(case.prior)
+    path = EntropicPath(case.prior, case.base, bounds)
+    path.fit_descending(whole[None], [10.0])
+    beside = path.fit_beside(parts, 10.0)
+    for factor, near in zip(parts, beside, strict=True):
+        exact = EntropicPath(case.prior, case.base, bounds).fit_exactly(factor, 10.0)
+        # Squared distance in standard errors: a rough fit ends at a thousandth.
+        away = factor[:-1, :-1] @ (case.base.regrouping @ (near - exact))
+        assert away @ away < 1e-2
+        worse = objective(case, factor, near, 10.0) - objective(case, factor, exact, 10.0)
+        assert abs(worse) < 1e-2

@@ -11,6 +11,7 @@ from asbuilt.dynamics import observation_matrix
 from asbuilt.identification import accumulate_stream, divide_into_folds
 from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
+    Folds,
     choose_candidate,
     group_different_motions,
 )
@@ -40,14 +41,16 @@ def choice_of(robot, betas, variance=0.0, weights=(10.0, 0.0), certain=(True, Tr
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.2, seconds=60.0, seed=3, parallel=False)
     information = accumulate_stream(model, base, [samples], block_seconds=5.0)
-    parts = list(divide_into_folds(information, group_different_motions(information, np.ones(3))))
+    groups = group_different_motions(information, np.ones(3))
+    parts = list(divide_into_folds(information, groups))
+    folds = Folds.of(information, groups, np.ones(3))
     motion = build_random_motion_rows(model, base, measure_recorded_rates([samples]))
     prior = np.diag(np.linspace(1.0, 2.0, base.n_base))
     candidates = [
         Candidate(f"c{k}", weight, np.broadcast_to(values, (len(parts), base.n_base)), sure)
         for k, (values, weight, sure) in enumerate(zip(betas, weights, certain, strict=True))
     ]
-    found = choose_candidate(candidates, parts, information, np.ones(3), prior, motion, variance)
+    found = choose_candidate(candidates, folds, information, np.ones(3), prior, motion, variance)
     return found, samples, motion, prior, parts
 
 

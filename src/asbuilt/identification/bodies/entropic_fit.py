@@ -86,11 +86,13 @@ class EntropicFits:
     duals: Array
     multipliers: Array
 
-    @property
-    def last(self) -> EntropicFits:
-        """The fit of the last problem alone."""
+    def repeat_last(self, m: int) -> EntropicFits:
+        """Return the fit of the last problem as the start of m others."""
         return EntropicFits(
-            *(array[-1:] for array in (self.chi, self.values, self.duals, self.multipliers))
+            *(
+                np.repeat(array[-1:], m, axis=0)
+                for array in (self.chi, self.values, self.duals, self.multipliers)
+            )
         )
 
 
@@ -381,7 +383,7 @@ class _Search:
         """Return values and Cholesky roots of the links; infinite values outside."""
         problem = self.problem
         n = self.problem.inertial
-        bodies = q[:, :n].reshape(len(q), -1, 10)
+        bodies = q[:, :n].reshape(len(q), n // 10, 10)
         drives = q[:, n:] - problem.q0[n:]
         roots = _factor_matrices(smat(bodies))
         with np.errstate(divide="ignore", invalid="ignore"):

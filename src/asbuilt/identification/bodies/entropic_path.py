@@ -31,6 +31,8 @@ TO_THE_DATA: tuple[float, ...] = (*DESCENT, 1e-2, 1e-3, 1e-4)
 CLOSE = 0.01
 """Relative distance of the chi-square from its limit at which the search for the weight ends."""
 MOST_HALVINGS = 20
+ROUGH = 1e-3
+"""Squared distance from the minimum, in squared standard errors, at which a rough fit ends."""
 
 
 START_PARTS = (1e-2, 1e-3, 1e-4)
@@ -75,10 +77,17 @@ class EntropicPath:
         # The last stronger weight that converged is the nearest start.
         stronger = [self._reached[other].fits for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
-        # Squared distance from the minimum, in squared standard errors, at which a rough fit ends.
-        fits = self._problem.fit(factors, weight, start, barrier=barrier, close=1e-3)
+        fits = self._problem.fit(factors, weight, start, barrier=barrier, close=ROUGH)
         self._reached[weight] = _Reached(factors, fits)
         return fits.chi
+
+    def fit_beside(self, factors: Array, weight: float) -> Array:
+        """Return rough fits (m, n_standard) of other factors, from the last fit of this weight.
+
+        Parts of the same data have their minima near it, so none goes all the way from CAD.
+        """
+        start = self._reached[weight].fits.repeat_last(len(factors))
+        return self._problem.fit(factors, weight, start, close=ROUGH).chi
 
     def fit_unbarred(self, factors: Array, weight: float) -> Array:
         """Return rough fits in which CAD, not the barrier, decides what factors leave open.
@@ -97,9 +106,8 @@ class EntropicPath:
                 with suppress(IdentifiabilityError):
                     self.fit_roughly(factor[None], stronger_weight)
             self.fit_roughly(factor[None], weight)
-        return np.asarray(
-            self._problem.fit(factor[None], weight, self._reached[weight].fits.last).chi[0]
-        )
+        start = self._reached[weight].fits.repeat_last(1)
+        return np.asarray(self._problem.fit(factor[None], weight, start).chi[0])
 
 
 def _find_inside(prior: CadPrior, bounds: BodyBounds) -> Array:

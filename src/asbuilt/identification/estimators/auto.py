@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -11,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.errors import AsbuiltError
+from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously, bound_with_certainty
 from asbuilt.identification.bodies.cad_prior import (
@@ -39,9 +40,9 @@ from asbuilt.identification.estimators.consistent_fit import (
 )
 from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
+    Folds,
     MotionChoice,
     choose_candidate,
-    divide_into_folds,
     group_different_motions,
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
@@ -116,7 +117,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
     reasons = []
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // SELECTION_SCREENED))
-        robust = reweight(sample, HUBER, estimate, together=True)
+        robust = reweight(sample, HUBER, estimate, roughly=True)
         share, ratio = estimate_outlying_share(sample, robust)
         if share > SELECTION_OUTLYING_SHARE or ratio > SELECTION_OUTLYING_VARIANCE:
             estimate = continue_huber(data, estimate)
@@ -195,12 +196,12 @@ def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Cho
     only = _fit_kind_alone(data, prior, free, consistent, weights) if data.kind else None
     if only is not None:
         return lambda _: only
-    folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
-    parts = [(used.together(), held.together()) for used, held in folds]
-    if len(parts) < SELECTION_FEWEST_FOLDS:
+    groups = group_different_motions(information, consistent.weights)
+    if len(groups) < SELECTION_FEWEST_FOLDS:
         usual = _fit_usual_weight(data, prior, free, consistent)
         return lambda _: usual
-    candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
+    folds = Folds.of(information, groups, consistent.weights)
+    candidates = _fit_candidates(information, prior, free, consistent, weights, folds)
     rates = None if data.samples is None else measure_recorded_rates(data.samples)
     motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
     # Rows are sample-major, so the weights of the joints repeat.
@@ -213,7 +214,7 @@ def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Cho
         candidates,
         lambda: choose_candidate(
             candidates.known,
-            parts,
+            folds,
             information,
             consistent.weights,
             prior_information(information, prior),
@@ -240,7 +241,8 @@ def _fit_kind_alone(
         consistent.method: lambda: consistent,
     }
     if weights and data.kind not in fits:
-        near_cad = _fit_toward_cad(information, prior, consistent, weights)
+        no_parts = np.zeros((0, information.base.n_base + 1, information.base.n_base + 1))
+        near_cad = _fit_toward_cad(information, prior, consistent, weights, no_parts)
         fits |= {each.kind: each.fit for each in near_cad.known if each.fit}
     if data.kind not in fits:
         return None
@@ -256,7 +258,7 @@ def _with_drive_prior(
     information: SquareRootInformation, free: Estimate, prior: CadPrior
 ) -> Estimate:
     """Return least squares with the prior of drive parameters, alike where they are determined."""
-    x, root = _solve_with_drive_rows(information, free.weights, prior)
+    x, root = _solve_with_drive_rows(information.stacked(free.weights), information, prior)
     solution = replace(free.solution, x=x, inverse_root=root)
     return free.renewed(
         free.method, information, solution, own_information=free.information, notes=free.notes
@@ -264,11 +266,11 @@ def _with_drive_prior(
 
 
 def _solve_with_drive_rows(
-    information: SquareRootInformation, weights: Array, prior: CadPrior
+    factor: Array, information: SquareRootInformation, prior: CadPrior
 ) -> tuple[Array, Array]:
-    """Return least squares with the prior of drive parameters (p,), and its inverse root."""
+    """Return least squares of a factor with the prior of drives (p,), and its inverse root."""
     return solve_fast(
-        with_drive_rows(information.stacked(weights), information.base, prior),
+        with_drive_rows(factor, information.base, prior),
         information.n_rows,
         information.base.regrouping @ prior.parameters,
     )
@@ -307,36 +309,26 @@ def _fit_candidates(
     free: Estimate,
     consistent: ConsistentEstimate,
     weights: list[float],
-    parts: list[tuple[SquareRootInformation, SquareRootInformation]],
+    folds: Folds,
 ) -> _Candidates:
-    """Return the candidates, the closest to CAD first, fitted without each part in turn."""
-    trainings = [training for training, _ in parts]
-    candidates = _fit_toward_cad(information, prior, consistent, weights, trainings)
-    of_joints = consistent.weights
+    """Return the candidates, the closest to CAD first, fitted without each group in turn."""
+    candidates = _fit_toward_cad(information, prior, consistent, weights, folds.used)
     K = information.base.regrouping
-
-    def select_trainings() -> Iterator[SquareRootInformation]:
-        for training, _ in parts:
-            refuse_few_rows(training)
-            yield training
-
     conic = ConicProblem(prior, K, bound_generously(prior))
+
+    def fit_each(fit: Callable[[Array], Array]) -> Array:
+        refuse_few_rows(information, part=1.0 - folds.counts.max() / folds.counts.sum())
+        return np.array([fit(factor) for factor in folds.used])
+
     candidates.add(
         consistent,
         WEAKEST_BELIEF,
-        lambda: np.array(
-            [K @ conic.fit(training.stacked(of_joints)) for training in select_trainings()]
-        ),
+        lambda: fit_each(lambda factor: K @ conic.fit(factor, rough=True)),
     )
     candidates.add(
         free,
         0.0,
-        lambda: np.array(
-            [
-                _solve_with_drive_rows(training, of_joints, prior)[0]
-                for training in select_trainings()
-            ]
-        ),
+        lambda: fit_each(lambda factor: _solve_with_drive_rows(factor, information, prior)[0]),
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
@@ -348,30 +340,34 @@ def _fit_toward_cad(
     prior: CadPrior,
     consistent: ConsistentEstimate,
     weights: list[float],
-    trainings: Sequence[SquareRootInformation] = (),
+    parts: Array,
 ) -> _Candidates:
-    """Return the candidates with a weight of CAD, fitted to each training part as well."""
+    """Return the candidates with a weight of CAD, fitted to m parts (m, p + 1, p + 1) as well."""
     candidates = _Candidates()
     if not weights:
         return candidates
     of_joints = consistent.weights
+    K = information.base.regrouping
     path = EntropicPath(prior, information.base, bound_with_certainty(prior))
     rough, weights = _fit_supported_weights(
         path,
-        np.array([part.stacked(of_joints) for part in (*trainings, information)]),
+        information.stacked(of_joints)[None],
         weights,
         lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
     )
+    folds = dict[float, Array]()
+    for weight in (weight for weight in weights if weight in rough):
+        with suppress(IdentifiabilityError):
+            folds[weight] = path.fit_beside(parts, weight)
     for k, weight in enumerate(weights):
         name = f"entropic (weight {weight:.3g})"
         # From the weakest, which every fit has: other samples support other strong ones.
         kind = f"entropic {len(weights) - k}"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
-        if weight in rough:
-            # The last row is the fit to all blocks.
-            *folds, whole = rough[weight] @ information.base.regrouping.T
+        if weight in folds:
+            (whole,) = rough[weight] @ K.T
             candidates.known.append(
-                Candidate(name, weight, np.array(folds), fit=fit, kind=kind, beta=whole)
+                Candidate(name, weight, folds[weight] @ K.T, fit=fit, kind=kind, beta=whole)
             )
         else:
             candidates.failed.append(name)
@@ -380,26 +376,26 @@ def _fit_toward_cad(
 
 def _fit_supported_weights(
     path: EntropicPath,
-    factors: Array,
+    whole: Array,
     weights: list[float],
     supported: Callable[[Array, float], float],
 ) -> tuple[dict[float, Array], list[float]]:
-    """Return rough fits by weight, and the weights that the distance from CAD supports.
+    """Return rough fits (1, n_standard) by weight, and the weights that their distance supports.
 
-    The last factor is of all blocks. Weights above the one that its fit with the strongest
-    weight supports give way to it; the weakest always stays. At weaker weights model errors take
-    links further from CAD than its tolerance does.
+    They are of all blocks, `whole` (1, p + 1, p + 1). Weights above the one that the fit with the
+    strongest weight supports give way to it; the weakest always stays. At weaker weights model
+    errors take links further from CAD than its tolerance does.
     """
     # The weights are beliefs times the design effect, the last belief being the weakest.
     effect = weights[-1] / SELECTION_BELIEFS[-1]
-    rough = path.fit_descending(factors, weights)
+    rough = path.fit_descending(whole, weights)
     fitted = [weight for weight in weights if weight in rough]
     if not fitted:
         return rough, weights
-    limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), SELECTION_BELIEFS[-1])
+    limit = effect * max(supported(rough[fitted[0]][0], fitted[0]), SELECTION_BELIEFS[-1])
     kept = [weight for weight in weights if weight <= limit]
     if len(kept) < len(weights) and limit > kept[0]:
-        rough |= path.fit_descending(factors, [limit])
+        rough |= path.fit_descending(whole, [limit])
         kept = [limit, *kept]
     return rough, kept
 

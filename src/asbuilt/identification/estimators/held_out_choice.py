@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 from scipy.special import stdtrit
 
 from asbuilt.arrays import Array, Indices
@@ -60,14 +60,10 @@ def choose_weight(
             f" too few to choose it, {FEWEST_GROUPS} are needed",
         )
     groups = np.array_split(np.arange(information.n_blocks), n_groups)
-    held = np.array([information.select(group).stacked(joint_weights) for group in groups])
-    factors = _without_each(held)
-    errors = np.empty((len(weights), n_groups))
-    counts = [sum(information.blocks[b].n_samples for b in group) for group in groups]
-    for row, weight in enumerate(weights):
-        beta = fits(factors, weight) @ regrouping.T
-        residuals = (held[:, :, :-1] @ beta[:, :, None])[:, :, 0] - held[:, :, -1]
-        errors[row] = np.sum(residuals**2, axis=1) / (np.array(counts) * information.n_joints)
+    folds = Folds.of(information, groups, joint_weights)
+    errors = np.array(
+        [folds.measure_errors(fits(folds.used, weight) @ regrouping.T) for weight in weights]
+    )
     means = errors.mean(axis=1)
     best = int(np.argmin(means))
     # Paired with the best group by group: hard groups are hard for every weight.
@@ -86,13 +82,44 @@ def choose_weight(
     return WeightChoice(weights[chosen], errors, f"weight of CAD {weights[chosen]:g}: {why}")
 
 
-def _without_each(factors: Array) -> Array:
-    """Return the triangular factors of all but each, (m, p + 1, p + 1)."""
-    # Of prefixes and suffixes each factor without one group is a single join: 3 m instead of m^2.
-    before = [*accumulate(factors[:-1], join_factors)]
-    after = [*accumulate(factors[:0:-1], join_factors)][::-1]
-    between = [join_factors(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
-    return np.array([after[0], *between, before[-1]])
+@dataclass(frozen=True, slots=True, eq=False)
+class Folds:
+    """Hold the weighted rows of m groups of blocks that are held out in turn, and of the others.
+
+    Parameters
+    ----------
+    used, held
+        Triangular factors of all rows but a group's, and of the group's, (m, p + 1, p + 1).
+    counts
+        Number of torques in each group, samples times joints, (m,).
+    """
+
+    used: Array
+    held: Array
+    counts: Array
+
+    @classmethod
+    def of(
+        cls, information: SquareRootInformation, groups: Sequence[Indices], joint_weights: Array
+    ) -> Folds:
+        """Return the folds of two or more groups that have every block once."""
+        held = [information.select(group).stacked(joint_weights) for group in groups]
+        # Of prefixes and suffixes each factor without one group is a single join: 3 m instead of
+        # m^2, and joint by joint nothing is reduced again.
+        before = [*accumulate(held[:-1], join_factors)]
+        after = [*accumulate(held[:0:-1], join_factors)][::-1]
+        between = [join_factors(*both) for both in zip(before[:-1], after[1:], strict=True)]
+        samples = [sum(information.blocks[b].n_samples for b in group) for group in groups]
+        return cls(
+            np.array([after[0], *between, before[-1]]),
+            np.array(held),
+            np.array(samples) * information.n_joints,
+        )
+
+    def measure_errors(self, betas: Array) -> Array:
+        """Return the mean squared error (m,) in each group, of values found without it (m, p)."""
+        residuals = (self.held[:, :, :-1] @ betas[:, :, None])[:, :, 0] - self.held[:, :, -1]
+        return np.asarray(np.sum(residuals**2, axis=1) / self.counts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +191,7 @@ class MotionChoice:
 
 def choose_candidate(
     candidates: Sequence[Candidate],
-    parts: Sequence[tuple[SquareRootInformation, SquareRootInformation]],
+    folds: Folds,
     information: SquareRootInformation,
     joint_weights: Array,
     prior_information: Array,
@@ -185,10 +212,10 @@ def choose_candidate(
     ----------
     candidates
         The closest to CAD first.
-    parts
-        Blocks to train on and blocks held out, group by group.
+    folds
+        Rows that the candidates were fitted to and rows held out, group by group.
     information, joint_weights
-        All blocks, and the weights of the joints (n,).
+        All blocks, and the weights of the joints (n,), those of the folds.
     prior_information
         Information of CAD on the base parameters (p, p).
     random_motion
@@ -196,26 +223,14 @@ def choose_candidate(
     extrapolation_variance
         Residual variance times the design effect, in units of the weighted residual.
     """
-    n = information.n_joints
-    errors = np.array(
-        [
-            [
-                float(np.sum(held.residual_energy(beta) * joint_weights**2)) / (held.n_samples * n)
-                for beta, (_, held) in zip(candidate.betas, parts, strict=True)
-            ]
-            for candidate in candidates
-        ]
-    )
+    errors = np.array([folds.measure_errors(candidate.betas) for candidate in candidates])
     root = information.stacked(joint_weights)[:-1, :-1]
     # Only rows^T rows count: a triangle has the same, and p rows.
     random_rows = _reduce_motion(random_motion, information.support) / np.sqrt(len(random_motion))
     random_rows = _project_determined(random_rows, root)
     whole = root.T @ root
-    roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
-    used = [factor.T @ factor for factor in roots]
-    held_rows = [
-        held.stacked(joint_weights)[:-1, :-1] / np.sqrt(held.n_samples * n) for _, held in parts
-    ]
+    used = [factor.T @ factor for factor in folds.used[:, :-1, :-1]]
+    held_rows = folds.held[:, :-1, :-1] / np.sqrt(folds.counts)[:, None, None]
     priors = [candidate.weight * prior_information for candidate in candidates]
     on_groups = np.array(
         [
@@ -229,7 +244,8 @@ def choose_candidate(
     on_random = np.array([_evaluate_leverage(random_rows, whole, prior) for prior in priors])
     beyond = extrapolation_variance * np.maximum(on_random - on_groups, 0.0)
     # Motions are compared by the last candidate, least squares, on which CAD has no influence.
-    own = _evaluate_leverage(root / np.sqrt(information.n_samples * n), whole, priors[-1])
+    n_torques = information.n_samples * information.n_joints
+    own = _evaluate_leverage(root / np.sqrt(n_torques), whole, priors[-1])
     held_out = max(float(on_groups[-1]), np.finfo(np.float64).tiny)
     chosen, best = _choose_among(candidates, errors + beyond[:, None])
     return MotionChoice(
@@ -240,7 +256,7 @@ def choose_candidate(
         beyond,
         "Errors of parameters count"
         f" {held_out / max(own, np.finfo(np.float64).tiny):.2g} times as much in the"
-        f" {len(parts)} groups of motion held out as in the motion used, and"
+        f" {len(used)} groups of motion held out as in the motion used, and"
         f" {float(on_random[-1]) / held_out:.2g} times as much again in random motion within the"
         " joint limits",
     )
@@ -303,8 +319,9 @@ def _evaluate_leverage(rows: Array, gram: Array, prior: Array) -> float:
     if np.any(prior):
         # With a prior the matrix is positive definite; else only what is determined has a leverage.
         scaled = total.matrix / np.outer(total.size, total.size)
-        seen = rows / total.size
-        return float(np.sum(seen.T * cho_solve(cho_factor(scaled), seen.T)))
+        root = np.linalg.cholesky(scaled)
+        seen = solve_triangular(root, (rows / total.size).T, lower=True, check_finite=False)
+        return float(np.sum(seen**2))
     return float(np.sum(total.whiten(rows.T) ** 2))
 
 

@@ -190,9 +190,9 @@ def solve_squares(total: Array) -> tuple[Array, Array] | None:
     return root @ (root.T @ total[:-1, -1]), root
 
 
-def refuse_few_rows(information: SquareRootInformation) -> None:
-    """Raise `IdentifiabilityError` for fewer torques than parameters."""
-    if information.n_rows <= information.base.n_base:
+def refuse_few_rows(information: SquareRootInformation, part: float = 1.0) -> None:
+    """Raise `IdentifiabilityError` for fewer torques than parameters in a part of the samples."""
+    if part * information.n_rows <= information.base.n_base:
         raise IdentifiabilityError(
             f"{information.n_samples} samples of {information.n_joints} joints give"
             f" {information.n_rows} torques, too few for {information.base.n_base} parameters of"
