@@ -209,7 +209,7 @@ class Selection(Trials):
         A, P = self._build_normal(self._total, inside)
         # tr((A + P)^-1 P) counts the parameters that the prior rather than the data determines.
         free = float(np.trace(np.linalg.solve(A, P)[np.ix_(links, links)]))
-        distance = self._measure_distance(self._fit(self._total, inside).residual)
+        distance = float(self._measure_distance(self._fit(inside).start))
         return distance / self.prior.effect > len(links) - free
 
     def holds(self, candidate: Candidate) -> bool:
