@@ -340,10 +340,14 @@ class Lacking:
             for candidate, (_, covariance, _) in zip(doubted, of_doubted, strict=True)
             if _is_wide(candidate, covariance)
         ]
+        names = _list_names(selection)
+        columns = np.concatenate([candidate.places for candidate in (*candidates, *doubted)])
+        named_columns = np.flatnonzero([bool(name) for name in names])
         return cls(
-            selection.rows,
-            _list_names(selection),
-            np.concatenate([candidate.places for candidate in (*candidates, *doubted)]),
+            # Of all effects that were tried few are asked again: all take most of the memory.
+            selection.rows.among(np.union1d(named_columns, columns)),
+            names,
+            columns,
             np.concatenate([values for values, _, _ in parts]),
             block_diag(*(covariance for _, covariance, _ in parts)),
             np.concatenate([sizes for _, _, sizes in parts]),

@@ -146,6 +146,16 @@ class BlockRows(_GroupedColumns):
             own[np.append(support, self.n_columns)] = np.arange(len(support) + 1)
         return places
 
+    def among(self, columns: Indices) -> BlockRows:
+        """Return the rows of some columns alone, which are numbered as before, and the torque."""
+        kept = [np.flatnonzero(np.isin(support, columns)) for support in self.support]
+        own = zip(self.rows, self.support, kept, strict=True)
+        return replace(
+            self,
+            support=tuple(s[k] for s, k in zip(self.support, kept, strict=True)),
+            rows=tuple(rows[..., np.append(k, len(s))] for rows, s, k in own),
+        )
+
     def product(self, k: int, columns: Indices, coefficients: Array) -> Array:
         """Return joint k's rows (B, m, ...) times coefficients (c, ...) of some columns."""
         own = self.places[k, columns]
