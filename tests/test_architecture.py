@@ -49,6 +49,7 @@ LEAVES = (
     "ranges",
     "registry",
     "scaled",
+    "statistics",
     "tables",
     "untrusted",
     "writing",

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from asbuilt.description import load, load_robot
-from asbuilt.errors import DescriptionError, MissingExtraError
+from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
 
 URDF = """<robot name="one"><link name="a"/><link name="b"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -57,3 +57,25 @@ def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="robot_descriptions"):
         load_robot("panda_description")
+
+
+FLOATING = """<robot name="box"><link name="box"><inertial><mass value="2"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="arm">
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link><joint name="hinge" type="revolute"><parent link="box"/><child link="arm"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_a_loaded_robot_keeps_its_base_or_says_that_it_cannot(tmp_path: Path) -> None:
+    (tmp_path / "box.urdf").write_text(FLOATING)
+    floating = load_robot(tmp_path / "box.urdf", base="free")
+    fixed = load_robot("two-link")
+    assert load_robot(floating, base="free") is floating
+    assert load_robot(fixed, fixed_base=True) is fixed
+    with pytest.raises(UsageError, match="the base of box floats"):
+        load_robot(floating, fixed_base=True)
+    with pytest.raises(UsageError, match="two-link is loaded already, on a fixed root"):
+        load_robot(fixed, base="free")
+    with pytest.raises(UsageError, match="give one"):
+        load_robot(tmp_path / "box.urdf", fixed_base=True, base="free")
+    assert [contact.frame for contact in load_robot(floating, contacts="arm").contacts] == ["arm"]

@@ -224,11 +224,11 @@ def test_contacts_count_as_closed_while_filters_spread_them(
 ) -> None:
     recording = read_recording(log, model=biped)
     samples = prepare_samples(recording)
-    assert samples.contact is not None
+    closed = samples.reactions.contact
+    assert closed is not None
     assert recording.contact is not None
     own = recording.contact[np.searchsorted(recording.t, samples.t)]
-    assert np.all(samples.contact >= own)
-    assert samples.contact.mean() > own.mean()
+    assert np.all(closed >= own)
+    assert closed.mean() > own.mean()
     half = samples.select(np.arange(samples.n_samples) % 400 < 200)
-    assert half.contact is not None
-    assert len(half.contact) == half.n_samples
+    assert half.reactions.n_samples == half.n_samples

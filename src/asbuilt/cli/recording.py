@@ -314,12 +314,12 @@ def simulate(
         raise UsageError("--start is for --free; a motion starts where its file says")
     if motion is not None and options.duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
-    moved = _choose_motion(model, motion, options.duration, options.seed, fast=kind == "servo")
     of_robot = options.seed if options.robot_seed is None else options.robot_seed
     virtual = asbuilt.VirtualRobot.preset(
         kind, model, of_robot, tool=carried, at=place, engine=runs_on
     )
     virtual = with_settings(virtual.logging(options.rate), options.set or ())
+    moved = _choose_motion(model, virtual, motion, options.duration, options.seed)
     with show_progress() as report:
         simulated = virtual.record(
             moved, options.seed, progress=lambda fraction: report("move", fraction)
@@ -333,15 +333,19 @@ def simulate(
 
 
 def _choose_motion(
-    model: asbuilt.RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
+    model: asbuilt.RobotModel,
+    virtual: asbuilt.VirtualRobot,
+    motion: Path | None,
+    duration: float | None,
+    seed: int,
 ) -> excitation.Motion:
-    """Return the motion of a file, or a random one."""
+    """Return the motion of a file, or a random one that shows the virtual robot."""
     if motion is not None:
         return asbuilt.read_motion(motion, model)
     seconds = 20.0 if duration is None else parse_positive_number("--duration", str(duration))
-    # 1.0: highest frequency of the random motion of servos, whose links are light [Hz].
-    harmonics = max(5, round(1.0 * seconds)) if fast else 5
-    return asbuilt.random_fourier(model, rng=seed, duration=seconds, n_harmonics=harmonics)
+    return asbuilt.random_fourier(
+        model, rng=seed, duration=seconds, n_harmonics=virtual.count_harmonics(seconds)
+    )
 
 
 def _simulate_free(

@@ -107,7 +107,7 @@ def load_robot(
         Name of a bundled robot, or of one of the package `robot_descriptions` such as
         `panda_description`, or a file: TOML, URDF, MJCF, SDF, xacro, a DH and mass table (CSV), or
         a format that another distribution registers. XML is recognised by content. A robot that
-        is loaded already is returned as it is.
+        is loaded already keeps its base.
     fixed_base
         Whether a free joint is held at its pose, as of a robot hung in the air.
     base
@@ -128,16 +128,28 @@ def load_robot(
     ------
     DescriptionError
         If there is neither such a robot nor such a file, or the file makes no sense.
+    UsageError
+        If the base is asked to stand otherwise than the description or the robot can.
 
     Examples
     --------
     >>> load_robot("two-link").joint_names
     ('joint_1', 'joint_2')
     """
+    if fixed_base and base != "fixed":
+        raise UsageError(f"fixed_base holds the base, and base={base!r} lets it move; give one")
     if isinstance(name_or_path, RobotModel):
-        return name_or_path
-    with allow_xacro_python(trust_xacro):
-        found = _load(os.fspath(name_or_path), fixed_base, base)
+        found = name_or_path
+        _check_loaded_base(found, base)
+    else:
+        with allow_xacro_python(trust_xacro):
+            found = _load(os.fspath(name_or_path), fixed_base, base)
+    if fixed_base and found.n_floating:
+        raise UsageError(
+            f"the base of {found.name} floats, and fixed_base holds it only while a URDF or MJCF"
+            " file is read",
+            cure=Cure("give the path of such a file", settings={"fixed_base": True}),
+        )
     if not contacts:
         return found
     if not found.n_floating:
@@ -146,6 +158,15 @@ def load_robot(
             cure=Cure("let its base float", settings={"free_base": True}),
         )
     return replace(found, contacts=Contact.parse(contacts))
+
+
+def _check_loaded_base(model: RobotModel, base: BaseKind) -> None:
+    """Raise where the base of a robot that is loaded already should float, and does not."""
+    if base != "fixed" and not model.n_floating:
+        raise UsageError(
+            f"{model.name} is loaded already, on a fixed root, so that base={base!r} has no effect",
+            cure=Cure("give the path of its description, which is then read on such a base"),
+        )
 
 
 def _load(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:

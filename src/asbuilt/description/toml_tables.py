@@ -240,16 +240,7 @@ class DriveTable(_Table):
     @property
     def values(self) -> DriveValues:
         """The same as the robot model keeps them."""
-        return DriveValues(
-            armature=self.armature,
-            viscous=self.viscous,
-            coulomb=self.coulomb,
-            offset=self.offset,
-            gear_ratio=self.gear_ratio,
-            kp=self.kp,
-            kd=self.kd,
-            terms=self.terms,
-        )
+        return DriveValues(**self.model_dump())
 
 
 class MimicTable(_Table):

@@ -87,9 +87,24 @@ class Reactions:
     def __bool__(self) -> bool:
         return self.contact is not None
 
+    @property
+    def n_samples(self) -> int | None:
+        """Number of samples at which it is known; None: nothing acts, ever."""
+        return None if self.contact is None else len(self.contact)
+
     def at(self, samples: slice | Indices) -> Reactions:
         """Return those of some samples."""
         return self if self.contact is None else replace(self, contact=self.contact[samples])
+
+    def in_units_of(self, noise: tuple[float, ...]) -> Reactions:
+        """Return them with other noise of the equations."""
+        return replace(self, noise=noise)
+
+    def basis(self, model: RobotModel, q: Array) -> Array:
+        """Return orthonormal rows (m, n, N) that span the torques of what acts at q (N, n)."""
+        if self.contact is None:
+            return np.empty((0, model.n_joints, len(q)))
+        return contact_basis(model, q, self.contact, self.noise)
 
     def project_rows(
         self, model: RobotModel, q: Array, rows: Sequence[Array], buffer: Array
@@ -102,7 +117,7 @@ class Reactions:
             return
         for own, noise in zip(rows, self.noise, strict=False):
             np.divide(own, noise, out=own)
-        project(contact_basis(model, q, self.contact, self.noise), buffer, len(q))
+        project(self.basis(model, q), buffer, len(q))
 
     def project_torque(self, model: RobotModel, q: Array, tau: Array) -> Array:
         """Return torques (N, n) less the part that reactions explain: `P tau`.
@@ -118,7 +133,7 @@ class Reactions:
             # A copy: the transpose of one sample is the sample itself, and rows are projected in
             # place.
             rows = np.array(tau[span].T, order="C")
-            basis = contact_basis(model, q[span], self.contact[span], self.noise)
+            basis = self.at(span).basis(model, q[span])
             project(basis, rows, rows.shape[1])
             found[span] = rows.T
         return found

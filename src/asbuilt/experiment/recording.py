@@ -7,15 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices, Mask, find_true_rows
+from asbuilt.arrays import Array, Indices, Mask, find_true_rows, read_only
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure, join_names
+
+if TYPE_CHECKING:
+    from asbuilt.dynamics.reactions import Reactions
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "command", "unknown")
@@ -217,10 +220,19 @@ class Recording:
         return int(self.t.size)
 
     @property
+    def has_computed_torque(self) -> bool:
+        """Whether its torque was not measured, but is what a law makes of commands."""
+        return self.torque_source == "command"
+
+    @property
+    def driving_command(self) -> Array | None:
+        """The commands (N, n) from which its torque follows; None where it was measured."""
+        return self.command if self.has_computed_torque else None
+
+    @property
     def drive_law(self) -> PositionServo | None:
         """The law by which commands became torques; None where the torque was measured."""
-        follows = self.torque_source == "command" and self.command is not None
-        return self.servo if follows else None
+        return None if self.driving_command is None else self.servo
 
     @property
     def n_joints(self) -> int:
@@ -238,7 +250,7 @@ class Recording:
         >>> Recording(t=[0.0, 0.01], q=q, tau=tau).has_torque.tolist()
         [False, True]
         """
-        if self.torque_source == "command":
+        if self.has_computed_torque:
             return np.ones(self.n_joints, dtype=np.bool_)
         measured = [_is_signal(*each) for each in zip(self.tau.T, self.q.T, strict=True)]
         undriven = [name in self.undriven for name in self.joint_names]
@@ -386,21 +398,32 @@ class Recording:
             contact=None if self.contact is None else self.contact[keep],
         )
 
-    def closed_contacts(self, t: Array, margin: float) -> Array | None:
-        """Return which contacts (len(t), n_contacts) are closed at times t or `margin` [s] of them.
+    @property
+    def has_touch_downs(self) -> bool:
+        """Whether forces that nobody measured begin or end while it is recorded."""
+        if self.contact is None:
+            return False
+        closed = self.contact > 0.5
+        # Feet that never move make no touch-down.
+        return not np.all(closed == closed[0])
+
+    def reactions_at(self, t: Array, margin: float) -> Reactions:
+        """Return the reactions at times t, of contacts that are closed then or `margin` [s] of it.
 
         Filters spread what happens at a change of contact over its neighbours, where a contact that
         is open counts as one that may be closed.
         """
+        from asbuilt.dynamics.reactions import Reactions  # noqa: PLC0415 - light start
+
         if self.contact is None:
-            return None
+            return Reactions()
         # A sample at the very edge counts, however the clock is rounded.
         reach = margin + (0.5 + 1e-6) / self.rate
         first = np.searchsorted(self.t, t - reach)
         last = np.searchsorted(self.t, t + reach)
         counts = np.cumsum(np.nan_to_num(self.contact, nan=1.0) > 0.5, axis=0, dtype=np.float64)
         counts = np.vstack([np.zeros((1, counts.shape[1])), counts])
-        return np.asarray(counts[last] - counts[first] > 0.0, dtype=np.float64)
+        return Reactions(read_only(counts[last] - counts[first] > 0.0))
 
 
 WORDS = {None: np.nan, "auto": np.nan, "none": np.inf}

@@ -11,6 +11,7 @@ from asbuilt.experiment.recording import Recording
 
 if TYPE_CHECKING:
     from asbuilt.experiment.free_base.base_checks import FloatingRoot
+    from asbuilt.experiment.free_base.ground import Ground
     from asbuilt.experiment.logs.formats.log_format import LogTable
     from asbuilt.experiment.logs.sheet import RecordingSheet
 
@@ -37,6 +38,10 @@ class FixedRoot:
     def settle(self, model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
         """Return the robot with what recordings show of how it stands."""
         return model
+
+    def measure_ground(self, recording: Recording, starts: Array, horizon: float) -> Ground | None:
+        """Return the ground in windows (W,) of a length [s]; None where nothing stands on it."""
+        return None
 
     def measure_errors(
         self, measured: Sequence[Array], simulated: Sequence[Array]

@@ -231,7 +231,7 @@ def find_gains(
         drive=options.drive,
         frame=options.frame,
         in_use=find_gains_in_use(heads),
-        of_command=any(head.torque_source == "command" for head in heads),
+        of_command=any(head.has_computed_torque for head in heads),
     )
 
 

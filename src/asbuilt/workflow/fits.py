@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from asbuilt.validation.prediction import Validation, predict_both, predict_fric
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.study_options import StudyOptions
 from asbuilt.workflow.tested_choice import LeftOut
-from asbuilt.workflow.torque_source import MeasuredTorque
+from asbuilt.workflow.torque_source import TorqueOrigin
 
 if TYPE_CHECKING:
     from asbuilt.workflow.refinement import Refined
@@ -88,7 +88,7 @@ class Fits:
     choice: DriveChoice
     effects: Effects
     plateaus: tuple[Plateau, ...]
-    source: MeasuredTorque
+    source: TorqueOrigin
     refined: Refined | None
     encoders: tuple[EncoderPair, ...] = ()
     left_out: Array | None = None
@@ -108,7 +108,7 @@ def fit_study(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
-    source: MeasuredTorque,
+    source: TorqueOrigin,
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
@@ -216,7 +216,7 @@ def _fit_all(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
-    source: MeasuredTorque,
+    source: TorqueOrigin,
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
@@ -226,43 +226,14 @@ def _fit_all(
     kept = KeptRows()
     model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
-    def completed(fit: Fit, choice: DriveChoice) -> Fit:
-        return source.with_errors(replace(fit, provenance=(*fit.provenance, *choice.sentences)))
-
-    def fitted(
-        samples: Sequence[Samples],
-        choice: DriveChoice,
-        kind: str = "",
-        drive: DriveSet | None = None,
-        known: Fit | None = None,
-    ) -> Fit:
-        terms = choice.drive if drive is None else drive
-        if known is not None and known.of_kind is not None:
-            # What the same samples say of all kinds has been computed.
-            return completed(known.of_kind(kind), choice)
-        fit = fit_samples(
-            model,
-            samples,
-            base=find_base_parameters(model, terms),
-            method=options.method,
-            undetermined=options.undetermined,
-            errors=options.errors,
-            block_seconds=options.block_seconds,
-            threads=options.threads,
-            fitted_nonlinear=[place for place in choice.fitted if place.is_of(terms)],
-            expected=source.expected,
-            kept=kept,
-            kind=kind,
-        )
-        return completed(fit, choice)
-
+    fitter = _Fitter(model, options, source, kept)
     if options.refine is None or parts is None:
-        settled = _settle_fits(fitted, prepared, source, choice, effects)
+        settled = _settle_fits(fitter, prepared, choice, effects)
         left_out = _leave_out(
             settled.final,
             prepared,
             options,
-            lambda others: fitted(others, settled.choice, settled.kind),
+            lambda others: fitter.fit(others, settled.choice, settled.kind),
         )
         return Fits(
             model,
@@ -279,7 +250,7 @@ def _fit_all(
     from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
     final, source, refined, drive = refine_study(
-        lambda drive: fitted(used, choice, drive=drive),
+        lambda drive: fitter.fit(used, choice, drive=drive),
         choice.drive,
         parts,
         source,
@@ -297,13 +268,16 @@ def _fit_all(
     return Fits(model, prepared, final, final, choice, effects, flat, source, refined)
 
 
-class _FitOfChoice(Protocol):
-    """Fit samples with the drive terms of a choice, or with others, by a kind of fit.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitter:
+    """Fit samples as a study asks for it; its fits share the rows that are `kept`."""
 
-    A fit of the same samples and terms that is `known` has computed what its other kinds need.
-    """
+    model: RobotModel
+    options: StudyOptions
+    source: TorqueOrigin
+    kept: KeptRows
 
-    def __call__(
+    def fit(
         self,
         samples: Sequence[Samples],
         choice: DriveChoice,
@@ -311,7 +285,31 @@ class _FitOfChoice(Protocol):
         drive: DriveSet | None = None,
         known: Fit | None = None,
     ) -> Fit:
-        """Return the fit."""
+        """Return the fit with the drive terms of a choice, or with others, by a kind of fit.
+
+        A fit of the same samples and terms that is `known` has computed what its other kinds need.
+        """
+        if known is not None and known.of_kind is not None:
+            fit = known.of_kind(kind)
+        else:
+            terms = choice.drive if drive is None else drive
+            options = self.options
+            fit = fit_samples(
+                self.model,
+                samples,
+                base=find_base_parameters(self.model, terms),
+                method=options.method,
+                undetermined=options.undetermined,
+                errors=options.errors,
+                block_seconds=options.block_seconds,
+                threads=options.threads,
+                fitted_nonlinear=[place for place in choice.fitted if place.is_of(terms)],
+                expected=self.source.expected,
+                kept=self.kept,
+                kind=kind,
+            )
+        provenance = (*fit.provenance, *choice.sentences)
+        return self.source.with_errors(replace(fit, provenance=provenance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,9 +324,8 @@ class _Settled:
 
 
 def _settle_fits(
-    fitted: _FitOfChoice,
+    fitter: _Fitter,
     prepared: Prepared,
-    source: MeasuredTorque,
     choice: DriveChoice,
     effects: Effects,
 ) -> _Settled:
@@ -342,29 +339,30 @@ def _settle_fits(
     needed = set[tuple[str, str]]()
     final: Fit | None = None
     validated: Fit | None = None
+    measured = fitter.source.is_measured
     while True:
         final = _with_omitted_bias(
-            fitted(prepared.whole or prepared.training, choice, kind, known=final), effects
+            fitter.fit(prepared.whole or prepared.training, choice, kind, known=final), effects
         )
         needless = _list_unsure(final, effects)
         if not needless:
             # A second fit only where the final one sees what validation is to predict.
             if prepared.whole:
-                validated = fitted(prepared.training, choice, kind, known=validated)
+                validated = fitter.fit(prepared.training, choice, kind, known=validated)
             else:
                 validated = final
             # Torques that were computed cannot test.
-            test = LeftOut.of(validated, prepared) if source.is_measured else None
+            test = LeftOut.of(validated, prepared) if measured else None
             needless = set() if test is None else test.list_harmful(effects.found)
             # Once: what was left out decides between kinds of fits, and then has decided.
             if not (needless or kind or test is None):
                 kind = test.find_better_kind()
                 if kind:
                     continue
-            if not needless and source.is_measured:
+            if not needless and measured:
                 # Like is compared with like, and one kind of fit takes less time than all.
                 own = kind or validated.estimate.kind
-                refit = partial(fitted, prepared.training, choice, own)
+                refit = partial(fitter.fit, prepared.training, choice, own)
                 find_test = partial(_find_test, validated, prepared, test)
                 needless = _find_unshown(final, effects, needed, find_test, refit)
             if not needless:
@@ -446,7 +444,7 @@ def _leave_out(
     final: Fit,
     prepared: Prepared,
     options: StudyOptions,
-    fitted: Callable[[Sequence[Samples]], Fit],
+    fit_others: Callable[[Sequence[Samples]], Fit],
 ) -> Array | None:
     """Return the base parameters (m, p) without each recording, and others of its motion."""
     if not prepared.motions:
@@ -458,7 +456,7 @@ def _leave_out(
         # Without these rows the factor is at hand for most estimators; others fit again.
         if beta is None:
             others = [batch for batch in prepared.training if batch.source not in left]
-            beta = fitted(others).estimate.beta
+            beta = fit_others(others).estimate.beta
         rows[list(motion)] = beta
     return rows
 
@@ -482,7 +480,7 @@ def _add_effects(
     if stated and model.mixes_joints:
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
     # A command's torque is computed: what a log could lack is sought only if asked for.
-    open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
+    open_to_all = not samples[0].has_computed_torque or isinstance(options.drive, str)
     if not model.mixes_joints and (open_to_all or stated):
         flat = (
             find_plateaus(model, drive, samples, options.block_seconds, kept) if open_to_all else ()

@@ -226,7 +226,9 @@ def prepare(
 
     # Other recordings are weighed as those that were fitted.
     def alike(item: Recorded) -> Samples:
-        return replace(_prepare_samples(item, settled, filters), noise=whole[0].noise)
+        samples = _prepare_samples(item, settled, filters)
+        reactions = samples.reactions.in_units_of(whole[0].reactions.noise)
+        return replace(samples, reactions=reactions)
 
     return Prepared(
         chain=settled if chosen else None,

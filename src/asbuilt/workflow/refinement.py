@@ -31,7 +31,7 @@ from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.workflow.rollout import Simulated, SimulatedParts
-from asbuilt.workflow.torque_source import MeasuredTorque
+from asbuilt.workflow.torque_source import MeasuredTorque, TorqueOrigin
 
 # Hold lengths of windows, and when a refinement is worth its parameters.
 
@@ -118,12 +118,12 @@ def refine_study(
     fitted: Callable[[DriveSet], Fit],
     drive: DriveSet,
     parts: SimulatedParts,
-    source: MeasuredTorque,
+    source: TorqueOrigin,
     horizons: Sequence[float],
     report: Callable[[str, float], None],
     *,
     choose: bool = False,
-) -> tuple[Fit, MeasuredTorque, Refined, DriveSet]:
+) -> tuple[Fit, TorqueOrigin, Refined, DriveSet]:
     """Continue a fit by trajectories of training data.
 
     Parameters
@@ -148,7 +148,7 @@ def refine_study(
 
     Returns
     -------
-    Fit, MeasuredTorque, Refined, DriveSet
+    Fit, TorqueOrigin, Refined, DriveSet
         The refined fit, its source of torques, how the refinement went, and its drive terms.
 
     Raises
@@ -175,7 +175,7 @@ def refine_study(
     # Only under commands their law is part of what moves the robot.
     driving = source if kinds == {"command"} else MeasuredTorque()
 
-    def refined(fit: Fit, driving: MeasuredTorque, begin: Array | None = None) -> RefinedFit:
+    def refined(fit: Fit, driving: TorqueOrigin, begin: Array | None = None) -> RefinedFit:
         return refine_fit(
             fit,
             windows,

@@ -46,11 +46,14 @@ from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.prepare import Prepared, settle_rule
 from asbuilt.workflow.study_options import StudyOptions
-from asbuilt.workflow.torque_source import MeasuredTorque, with_servo
+from asbuilt.workflow.torque_source import TorqueOrigin, with_servo
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.refined_fit import RefinedFit
 
+HORIZON_OF_VERDICT = 0.5
+"""Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
+enough that what is left out does not add up."""
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
 of it is how the robot moves: own choice."""
@@ -119,20 +122,20 @@ def settle_servo(
 
 
 @dataclass(frozen=True, eq=False)
-class CommandedTorque(MeasuredTorque):
-    """Say that a position servo gave the torques, which was identified before the robot."""
+class CommandedTorque(TorqueOrigin):
+    """Say that a position servo made torques of commands, identified before the robot."""
 
     servo: ServoEstimate
-
-    @property
-    def is_measured(self) -> bool:
-        """They are not: a law makes them of commands and positions."""
-        return False
 
     @property
     def expected(self) -> ExpectedScores | None:
         """Scores that noise of the positions lends the parameters through the law."""
         return self.servo.expected
+
+    @property
+    def decisive_horizons(self) -> tuple[float, ...]:
+        """Torques that were computed decide nothing: motion does."""
+        return (HORIZON_OF_VERDICT,)
 
     @property
     def of_result(self) -> dict[str, Any]:

@@ -31,8 +31,8 @@ from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination
 from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.identification.result.summary import Summary, summarise
-from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.registry import divide_settings
+from asbuilt.statistics import USUAL_ALPHA
 from asbuilt.tables import Table, format_share
 from asbuilt.validation import (
     Attribution,
@@ -59,17 +59,13 @@ from asbuilt.workflow.prepare import (
 )
 from asbuilt.workflow.study_options import BLOCKS, StudyOptions
 from asbuilt.workflow.study_result import conclude_study
-from asbuilt.workflow.torque_source import MeasuredTorque
+from asbuilt.workflow.torque_source import MeasuredTorque, TorqueOrigin
 
 if TYPE_CHECKING:
     import polars as pl
 
     from asbuilt.workflow.refinement import Refined
     from asbuilt.workflow.rollout import Simulated
-
-HORIZON_OF_VERDICT = 0.5
-"""Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
-enough that what is left out does not add up."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -327,9 +323,9 @@ def identify(
     report("identify", 0.0)
     parts = None
     horizons = options.rollout
-    # A verdict on commands needs simulated motion, where the simulator is installed.
-    if not horizons and not source.is_measured and find_spec("mujoco") is not None:
-        horizons = (HORIZON_OF_VERDICT,)
+    # Simulated motion can decide a verdict only where the simulator is installed.
+    if not horizons and find_spec("mujoco") is not None:
+        horizons = source.decisive_horizons
     if options.refine or horizons:
         from asbuilt.workflow.rollout import select_simulated_parts  # noqa: PLC0415 - light start
 
@@ -367,7 +363,7 @@ def settle_torque(
     validation: Sequence[Recorded],
     options: StudyOptions,
     filters: MotionFilters | None = None,
-) -> tuple[list[Recorded], list[Recorded], MeasuredTorque, StudyOptions]:
+) -> tuple[list[Recorded], list[Recorded], TorqueOrigin, StudyOptions]:
     """Return recordings with their torque, where it comes from, and the options.
 
     Nothing changes unless some torque is to follow from a command. `filters` filter motions, if
@@ -389,7 +385,7 @@ def _prepare_recordings(
     trained: Sequence[Recorded],
     others: Sequence[Recorded],
     options: StudyOptions,
-    source: MeasuredTorque,
+    source: TorqueOrigin,
     filters: MotionFilters,
     report: Progress,
 ) -> tuple[Prepared, CutoffSweep | None]:

@@ -14,7 +14,7 @@ from asbuilt.identification.effects.effect_findings import list_term_places
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.result.torque_prediction import set_link_parameters
-from asbuilt.identification.statistics import exceeds
+from asbuilt.statistics import exceeds
 from asbuilt.validation.generalisation.coverage import REPEATED, measure_repeated_share
 from asbuilt.workflow.prepare import Prepared
 

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 
-class MeasuredTorque:
-    """Say that torques were measured, so that nothing about them is to be identified.
+class TorqueOrigin:
+    """Say where the torques of a study come from, and what of that is to be identified.
 
-    A study asks its source of torques by these methods; another source overrides them.
+    A study asks by these methods. Here nothing is to be identified; an origin overrides its part.
     """
 
     @property
@@ -55,7 +55,12 @@ class MeasuredTorque:
     @property
     def is_measured(self) -> bool:
         """Whether delays, effects and errors of single recordings are those of a sensor."""
-        return True
+        return False
+
+    @property
+    def decisive_horizons(self) -> tuple[float, ...]:
+        """Windows [s] of simulated motion without which there is no verdict."""
+        return ()
 
     @property
     def of_result(self) -> dict[str, Any]:
@@ -70,7 +75,7 @@ class MeasuredTorque:
         """Return samples with its delay, where it has one, by name and digest of recordings."""
         return prepared
 
-    def refined(self, refined: RefinedFit) -> MeasuredTorque:
+    def refined(self, refined: RefinedFit) -> TorqueOrigin:
         """Return it as trajectories show it."""
         return self
 
@@ -87,6 +92,15 @@ class MeasuredTorque:
         return ()
 
 
+class MeasuredTorque(TorqueOrigin):
+    """Say that torques were measured, by a sensor or as the current of a motor."""
+
+    @property
+    def is_measured(self) -> bool:
+        """They are."""
+        return True
+
+
 def lacks_torque(item: Recorded) -> bool:
     """Return whether a recording has commands, and gains of their law that are not stated."""
     stated = None if isinstance(item, Samples) else head_of(item).servo
@@ -94,7 +108,11 @@ def lacks_torque(item: Recorded) -> bool:
 
 
 def require_torque(item: Recorded) -> None:
-    """Raise `UsageError` where a recording has no torque to compare with."""
+    """Raise `UsageError` where a recording has no torque to compare with.
+
+    Gains that only the description states are no help: they are part of what is compared, and often
+    settings of a simulator. A rollout tests them with the rest.
+    """
     if lacks_torque(item):
         raise UsageError(
             f"{item.source} holds commands and no gains of the servo, so that it has"

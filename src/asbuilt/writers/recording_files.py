@@ -50,7 +50,7 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
             file=str(path),
             available=(".csv", ".parquet"),
         )
-    command = recording.command if recording.torque_source == "command" else None
+    command = recording.driving_command
     logged = {"q": recording.q, "qd": recording.qd, "qdd": recording.qdd}
     logged |= {"tau": recording.tau} if command is None else {"command": command}
     return write_columns(path, recording.t, recording.joint_names, logged)

@@ -305,9 +305,29 @@ def test_every_step_is_a_command_that_the_program_takes(session: Session, step: 
 
 
 def test_another_step_waits_until_the_first_is_done(session: Session) -> None:
-    session.job = Job("identify", ("identify", "two-link"))
+    session.job = Job("identify", ("identify", "two-link"), [], "")
     with pytest.raises(UsageError, match="another step is running"):
         session.run("columns")
+
+
+def test_an_answer_of_a_file_that_changed_meanwhile_is_of_no_question(
+    session: Session, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CannedWorker, "severity", "warning")
+    settle(session)
+    worker: Any = session._worker
+    first = log.read_text()
+    worker.may_answer.clear()
+    session.run("identify")
+    log.write_text(first + "1,1\n")
+    worker.may_answer.set()
+    settle(session)
+    log.write_text(first)
+    settle(session)
+    assert session.refusal("identify") is None
+    assert session.answer("identify") is None
+    finish(session, "identify")
+    assert session.answer("identify") is not None
 
 
 def test_effects_that_were_switched_off_can_be_switched_on(session: Session) -> None:

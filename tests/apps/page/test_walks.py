@@ -22,6 +22,8 @@ SERVERS = 10
 WALKS = 20
 """Walks on each server: 200 in all."""
 STEPS = 7
+PATIENCE = 600.0
+"""Seconds after which a page that is busy is waited for in vain, on a busy machine, too."""
 FLAGS = (
     "window-size=1300,1600 disable-background-timer-throttling disable-renderer-backgrounding"
     " disable-backgrounding-occluded-windows"
@@ -100,7 +102,7 @@ document.getElementById("assign").click();
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     window = chromium(tmp_path_factory.mktemp("profile"), FLAGS)
-    window.set_script_timeout(60)
+    window.set_script_timeout(PATIENCE)
     yield window
     window.quit()
 
@@ -126,7 +128,7 @@ def open_page(server: PageServer, browser: Any) -> str:
     wait = pytest.importorskip("selenium.webdriver.support.wait")
     place = f"http://{server.hosts[0]}/{server.place}/"
     browser.get(server.url)
-    wait.WebDriverWait(browser, 60).until(
+    wait.WebDriverWait(browser, PATIENCE).until(
         lambda page: (
             page.current_url == place
             and page.execute_script('return document.readyState === "complete"')
@@ -192,8 +194,11 @@ def test_a_walk_ends_where_a_new_page_begins(
                 rng.choice(acts(browser, tmp_path, rng))()
                 if rng.random() < 0.3:
                     browser.execute_async_script(SETTLE)
-            # What was refused stays to be mended until it is undone or something is accepted.
             browser.execute_async_script(SETTLE)
+            # Boxes that were ticked wait for the click that identifies with them.
+            browser.execute_script(CLICK, "#effects-button:not([hidden])", 0)
+            browser.execute_async_script(SETTLE)
+            # What was refused stays to be mended until it is undone or something is accepted.
             browser.execute_script(CLICK, "#undo", 0)
             browser.execute_script(ENTER, "export-format", rng.choice([*EXPORTS]))
             browser.execute_async_script(SETTLE)

@@ -9,13 +9,13 @@ from asbuilt.dynamics import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, read_recording
 from asbuilt.experiment.command.magnitude import (
+    describe_laws,
     fit_logged_magnitude_laws,
     fit_magnitude_laws,
     is_magnitude,
     sign_by_command,
 )
 from asbuilt.experiment.command.torque import drive_by_command
-from asbuilt.experiment.quality.signal_checks import describe_laws
 
 DUTY, VOLTAGE, RESISTANCE, INDUCED = 3.0, 12.0, 4.0, 1.8
 LAG = INDUCED / (DUTY * VOLTAGE)

@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from asbuilt.dynamics.reactions import Reactions
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import Samples, hold_out
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
@@ -111,6 +114,18 @@ def test_selections_keep_segments_apart():
         samples.select(np.ones(3, bool))
     with pytest.raises(RecordingError, match="ordered index ranges"):
         made(1.0, segments=((0, 50), (40, 100)))
+
+
+def test_reactions_are_those_of_the_samples_that_stay():
+    closed = np.arange(100.0)[:, None]
+    samples = made(1.0, segments=((0, 40), (40, 100)))
+    samples = replace(samples, reactions=Reactions(closed))
+    picked = samples.outside([(7.2, 7.3)])
+    kept = picked.reactions.contact
+    assert kept is not None
+    np.testing.assert_allclose(kept[:, 0] / 100.0, picked.t - samples.t[0], atol=1e-12)
+    with pytest.raises(RecordingError, match="reactions are known at 99 times"):
+        replace(samples, reactions=Reactions(closed[:-1]))
 
 
 def test_shared_parts_are_segments_of_one_memory_with_the_same_filtered_torques():

@@ -110,8 +110,9 @@ def test_what_a_touch_down_spreads_to_is_closed(cutoff: float) -> None:
     q = np.maximum(4.0 - t, 0.0)[:, None]
     recording = Recording(t=t, q=q, tau=np.ones_like(q), contact=(q <= 0.0).astype(float))
     samples = prepare_samples(recording, SignalChain(cutoff=cutoff, rests=True))
-    assert samples.contact is not None
-    acceleration, is_open = np.abs(samples.qdd[:, 0]), samples.contact[:, 0] == 0.0
+    closed = samples.reactions.contact
+    assert closed is not None
+    acceleration, is_open = np.abs(samples.qdd[:, 0]), closed[:, 0] == 0.0
     assert acceleration.max() > 10.0
     assert acceleration[is_open].max() < 1e-6
     assert samples.t[is_open].max() > 4.0 - 0.55 / cutoff - 0.01

@@ -170,7 +170,7 @@ def test_chunks_keep_contacts():
     chunks = (log.taken(slice(k, k + 900)) for k in range(0, log.n_samples, 900))
     for part in stream_samples(chunks, chain):
         same = np.searchsorted(whole.t, part.t - 1e-6)
-        np.testing.assert_array_equal(part.contact, whole.contact[same])
+        np.testing.assert_array_equal(part.reactions.contact, whole.reactions.contact[same])
 
 
 def test_paper2015_cannot_be_streamed():

@@ -20,6 +20,7 @@ from asbuilt.identification.bodies.entropic_fit import (
     EntropicProblem,
     _Search,
 )
+from asbuilt.identification.bodies.entropic_path import EntropicPath
 from log_cholesky import from_log_cholesky, log_cholesky
 
 
@@ -175,3 +176,21 @@ def test_start_outside_is_refused(trial):
     case = trial("two-link", "none", seed=1, duration=4.0)
     with pytest.raises(IdentifiabilityError, match="inside the bounds"):
         closest(case, -case.chi)
+
+
+def test_a_path_gives_the_fits_of_the_factors_that_are_asked(trial):
+    """What was reached for other factors may be a start, and is no answer."""
+    case = trial("two-link", "viscous,coulomb", noise=0.1, seed=3, duration=4.0)
+    factor = factor_of(case)
+    other = factor.copy()
+    other[:, -1] *= 1.05
+    path = EntropicPath(case.prior, case.base, bound_passive_drives(case.prior))
+    path.fit_descending(other[None], [10.0, 1.0])
+    factors = factor[None]
+    path.fit_roughly(factors, 10.0)
+    asked = path.fit_descending(factors, [1.0])[1.0][0]
+    exact = path.fit_exactly(factor, 1.0)
+    away = factor[:-1, :-1] @ (case.base.regrouping @ (asked - exact))
+    assert away @ away < 1e-2
+    moved = path.fit_exactly(other, 1.0)
+    assert np.linalg.norm(factor[:-1, :-1] @ (case.base.regrouping @ (moved - exact))) > 1.0

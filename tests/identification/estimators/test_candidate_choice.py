@@ -18,7 +18,7 @@ from asbuilt.identification.information.random_states import (
     build_random_motion_rows,
     measure_recorded_rates,
 )
-from asbuilt.identification.statistics import exceeds
+from asbuilt.statistics import exceeds
 
 
 def test_blocks_of_two_motions_are_told_apart(robot):

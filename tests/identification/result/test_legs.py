@@ -39,9 +39,9 @@ def test_the_gain_of_a_further_motion_is_predicted() -> None:
     chain = first.chain
     own = read_recording(trot, model=model, torque_source="motor")
     other = read_recording(fall, model=model, torque_source="motor")
-    noise = prepare(model, [own], chain=chain).training[0].noise
+    noise = prepare(model, [own], chain=chain).training[0].reactions.noise
     states = prepare(model, [other], chain=chain).training[0]
-    reactions = replace(states, noise=noise).reactions
+    reactions = states.reactions.in_units_of(noise)
     extra = sample_information(first, states.q, states.qd, states.qdd, reactions)
     weak = weak_parameters(first)
     (expected,) = error_ratios(

@@ -36,7 +36,7 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.torque_prediction import set_link_parameters
-from asbuilt.identification.statistics import confidence_intervals
+from asbuilt.statistics import confidence_intervals
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 GOLDEN = Path(__file__).parent / "summary.txt"

@@ -19,7 +19,7 @@ from asbuilt.description import RobotModel
 from asbuilt.description.structure.parts import Contact
 from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.experiment import ReadingOptions, Recording, read_fitted_recordings
-from asbuilt.identification.trajectories.windows import measure_ground
+from asbuilt.experiment.free_base.ground import measure_ground
 from asbuilt.validation import Rollout
 from asbuilt.validation.rollout.position_errors import measure_rollout_errors
 from legged_robots import LEGGED

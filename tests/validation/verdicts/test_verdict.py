@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import load_robot
-from asbuilt.description.model import MassRange
+from asbuilt.description.model import LinkInertia, MassRange
 from asbuilt.dynamics import PositionServo
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording, SignalChain, VirtualRobot, prepare_samples
@@ -156,6 +156,25 @@ def test_absurd_bodies_are_not_for_use_as_bodies(study: Study, factor: float, us
     assert ("; DO NOT USE as bodies: " in found.text) == (use == "no")
     assert found.use_for_torque == "yes"
     assert bool(found.bodies.reasons) == (use != "yes")
+
+
+def test_a_link_that_cannot_be_in_cad_is_measured_by_what_it_states_too(
+    study: Study, logs: list[Recording]
+) -> None:
+    """Its mass may be the true one, and torques of a SCARA never see inertia about x and y."""
+    model = study.result.model
+    link = model.links[1].inertia
+    tensor = link.inertia_about_com + np.diag([100.0, 100.0, 0.0])
+    odd = LinkInertia.from_com(link.mass, link.com, tensor)
+    bodies = [odd if k == 1 else each.inertia for k, each in enumerate(model.links)]
+    described = model.with_parameters(np.concatenate([body.parameters for body in bodies]))
+    measured = study_verdict(replace(study.result, model=described), (), study.validations)
+    assert "of CAD" not in measured.bodies.text
+    found = identify(described, logs[:1], validation=logs[1:]).verdict
+    name = model.link_names[1]
+    assert found.use_for_torque == "yes"
+    assert (found.bodies.use, found.bodies.reasons) == ("with care", ("implausible_bodies",))
+    assert f"mass and inertia of {name} cannot be of one link, nor are CAD's" in found.text
 
 
 def test_data_that_repeat_the_training_motion_earn_no_use(study: Study) -> None:

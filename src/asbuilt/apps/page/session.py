@@ -44,11 +44,12 @@ SAMPLE_ROBOT = "ur10e"
 
 @dataclass
 class Job:
-    """Hold a command while it runs, and the key that its answer will have."""
+    """Hold a command while it runs, what it reads, and the key that its answer will have."""
 
     step: str
     arguments: tuple[str, ...]
-    key: str = ""
+    inputs: list[Path]
+    key: str
     what: str = ""
     fraction: float = 0.0
     begun: float = field(default_factory=time.monotonic)
@@ -199,9 +200,11 @@ class Session:
 
     def find_key(self, step: str) -> str:
         """Return letters that stand for the arguments of a step and the content of its inputs."""
-        arguments = self.arguments(step)
+        return self._mark_question(self.arguments(step), self._list_inputs(step))
+
+    def _mark_question(self, arguments: tuple[str, ...], inputs: list[Path]) -> str:
         mark = blake2b(digest_size=12)
-        mark.update(self._fingerprints.of_inputs(*self._list_inputs(step)).encode())
+        mark.update(self._fingerprints.of_inputs(*inputs).encode())
         mark.update("\0".join(arguments).encode("utf-8", "surrogateescape"))
         return mark.hexdigest()
 
@@ -312,8 +315,8 @@ class Session:
             why = "another step is running; cancel it or wait"
         if why is not None:
             raise UsageError(why)
-        key = self.find_key(step) if step in STEPS else ""
-        self.job = Job(step, arguments, key)
+        inputs = self._list_inputs(step) if step in STEPS else []
+        self.job = Job(step, arguments, inputs, self._mark_question(arguments, inputs))
         threading.Thread(target=self._run, args=(self.job,), daemon=True).start()
 
     def follow(self) -> None:
@@ -390,7 +393,11 @@ class Session:
                 return
             if job.step == "identify":
                 self._offer_effects(job.arguments, document)
-            stored = Answer(job.key, job.arguments, document, "")
+            key = job.key
+            if self._mark_question(job.arguments, job.inputs) != key:
+                # A file changed while it was read: nobody knows which of its contents this is of.
+                key += f"-{time.monotonic_ns()}"
+            stored = Answer(key, job.arguments, document, "")
             self.answers[job.step] = replace(stored, written=self._mark_files(stored))
             self.follow()
 

@@ -74,7 +74,7 @@ def check_joints(result: IdentificationResult, recorded: Recording | RecordingSt
             value=list(head.joint_names),
             expected=list(names),
         )
-    if head.torque_source == "command":
+    if head.has_computed_torque:
         raise RecordingError(
             f"{recorded.source} has no measured torque, only commands of a position servo, from"
             " which external torque does not follow",

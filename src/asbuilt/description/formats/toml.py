@@ -373,19 +373,12 @@ def _read_loops(file: RobotFile) -> tuple[Loop, ...]:
     """Return the loops; angles of `rpy` are in the unit of the file, near right ones exact."""
     return tuple(
         Loop(
-            kind=table.kind,
-            link_a=table.link_a,
-            point_a=np.array(table.point_a),
-            link_b=table.link_b,
-            point_b=np.array(table.point_b),
+            **table.model_dump(exclude={"rpy", "rotation"}),
             rotation=snap_entries(
                 rotation_from_rpy([file.angle * each for each in table.rpy or (0, 0, 0)])
                 if table.rotation is None
                 else table.rotation
             ),
-            joints=table.joints,
-            polynomial=table.polynomial,
-            name=table.name,
         )
         for table in file.loops
     )

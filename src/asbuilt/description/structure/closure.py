@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -86,6 +87,9 @@ class Closure(JointMap):
     home: Array
     tolerance: float
     of_links: Array
+
+    # Every state is a solution of the loops' equations.
+    work: ClassVar[int] = 5000
 
     @property
     def n_joints(self) -> int:

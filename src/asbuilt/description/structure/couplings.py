@@ -257,7 +257,7 @@ def _take_over_drive(
     if values:
         notes.append(f"{', '.join(values)} of joint {follower.name!r} count to {joint.name!r}")
     if follower.drive.terms or follower.drive.kp is not None:
-        notes.append(f"drive terms and servo of joint {follower.name!r} are left out")
+        notes.append(f"further drive values of joint {follower.name!r} are left out")
     limits, further = _narrow_limits(joint, follower, multiplier, offset)
     return replace(joint, drive=replace(joint.drive, **values), limits=limits), [*notes, *further]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,9 @@ class JointMap:
     """Typical shares in the order of the robot's links, (n_links, n_joints)."""
     first_posture: Array | None = None
     """Positions (n_joints,) about which the map holds; None: everywhere."""
+    work: ClassVar[int] = 0
+    """Work of the motion of a state, in joints times parameters: next to none for shares that are
+    constant. What searches many states counts it."""
 
     def motion(self, q: Array, qd: Array | None = None, qdd: Array | None = None) -> TreeMotion:
         """Return the motion of the joints of the tree; rates not given are zero.

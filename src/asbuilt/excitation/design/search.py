@@ -66,8 +66,6 @@ SEARCH_FEWEST_ITERATIONS = 60
 # Work of all searches for each random start, in nodes times joints times parameters: some 1.2 s,
 # of which arms of seven joints need a fifth. Robots of 30 joints get fewer searches by it.
 SEARCH_WORK = 4e7
-# Work of a state whose loops are closed, in joints times parameters
-SEARCH_LOOP_WORK = 5000
 SEARCH_REFINED = 4  # Number of best local optima refined on the dense grid
 # Work of the refinement, in random starts; each of them makes some 100 iterations
 SEARCH_REFINED_STARTS = 8
@@ -144,7 +142,7 @@ class DesignSearch:
         self._coarse = self._build_program(self._n_nodes, SEARCH_MARGIN_COARSE)
         # A count, and no time: a busy machine finds the same motion, later.
         state = model.n_joints * objective.information.n_parameters
-        work = self._n_nodes * (state + (SEARCH_LOOP_WORK if model.loops else 0))
+        work = self._n_nodes * (state + model.joint_map.work)
         self._iterations = round(options.starts * SEARCH_WORK / work)
         self._refinement = round(SEARCH_REFINED_STARTS * SEARCH_WORK / work)
 

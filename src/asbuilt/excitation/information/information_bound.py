@@ -59,8 +59,7 @@ class BoundSearch:
     def of(cls, information: Information) -> BoundSearch:
         """Return the search for a robot of this size."""
         work = sum(len(support) ** 2 for support in information.plan.support)
-        # Every state of a closed chain is a solution of its loops, which takes long.
-        slow = bool(information.model.loops)
+        slow = information.model.joint_map.work > 0
         return SMALL if slow or work > WHOLE_SEARCH else SEARCH
 
 

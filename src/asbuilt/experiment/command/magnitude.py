@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,7 +20,10 @@ from asbuilt.findings import Cure, join_names
 from asbuilt.scaled import Scaled
 
 Kind = Literal["motor", "supply"]
-KINDS: tuple[Kind, ...] = ("motor", "supply")
+KINDS: Mapping[Kind, str] = {
+    "motor": "motor currents, in proportion to the torque",
+    "supply": "supply currents, which grow with the square of the torque",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +127,34 @@ def _sum_explained(laws: Iterable[MagnitudeLaw | None]) -> float:
     return sum(max(law.explained, 0.0) for law in laws if law is not None)
 
 
+def describe_laws(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
+    """Return what the command explains of magnitudes, to follow a sentence; empty if nothing."""
+    parts = []
+    for kind, what in KINDS.items():
+        listed = [
+            f"{name} ({100.0 * law.explained:.0f} % explained by the command)"
+            for name, law in zip(names, laws, strict=True)
+            if law is not None and law.holds and law.kind == kind
+        ]
+        if listed:
+            parts.append(f"the magnitudes of {join_names(listed)} are {what}")
+    return f"; {'; '.join(parts)}" if parts else ""
+
+
+def choose_sign_cure(laws: Sequence[MagnitudeLaw | None]) -> Cure:
+    """Return how to use torques of all joints without a sign."""
+    # A sign by the command needs a law at every joint.
+    if all(law is not None and law.holds and law.kind == "motor" for law in laws):
+        return Cure(
+            'write sign = "command" in a recording sheet: the torque then has the sign of the'
+            " control error"
+        )
+    return Cure(
+        "use the commanded positions if the log has them, with torque_source = command",
+        settings={"torque_source": "command"},
+    )
+
+
 def fit_logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
     """Return the laws of magnitudes that were logged with the commands; empty if none were."""
     logged = [
@@ -168,7 +199,7 @@ def sign_by_command(recording: Recording, unused: Collection[str] = ()) -> Recor
     laws = fit_magnitude_laws(recording)
     for kind, what in (
         (None, "do not follow the command"),
-        ("supply", "are supply currents, which grow with the square of the torque"),
+        ("supply", f"are {KINDS['supply']}"),
     ):
         bad = [
             name

@@ -210,7 +210,7 @@ def drive_as_stated(
 
     Others stay as they are. Raises `RecordingError` if options describe a servo that they lack.
     """
-    if recording.torque_source == "command" and recording.command is not None:
+    if recording.driving_command is not None:
         servo = _read_stated_servo(recording, sheet, options)
         if servo is not None:
             return drive_by_command(recording, servo)
@@ -323,5 +323,6 @@ def drop_slow_rows(samples: Samples, recording: Recording, cutoff: float) -> Sam
 
 def drop_unknown_directions(samples: Samples, recording: Recording, cutoff: float) -> Samples:
     """Return samples as `drop_slow_rows` if their torque follows from commands, else whole."""
-    computed = recording.torque_source == "command"
-    return drop_slow_rows(samples, recording, cutoff) if computed else samples
+    if not recording.has_computed_torque:
+        return samples
+    return drop_slow_rows(samples, recording, cutoff)

@@ -30,6 +30,7 @@ from asbuilt.experiment.free_base.feet import (
     estimate_rolling_radii,
     set_rolling_radii,
 )
+from asbuilt.experiment.free_base.ground import Ground, measure_ground
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.torque_fit import COMPARED_TORQUES
@@ -358,6 +359,10 @@ class FloatingRoot:
             if finding.code not in OF_HELD_BASE
         )
         return (*kept, *(check_free_base(self.model, recording) if has_clock else ()))
+
+    def measure_ground(self, recording: Recording, starts: Array, horizon: float) -> Ground | None:
+        """Return the ground in windows (W,) of a length [s]; None where nothing touches it."""
+        return measure_ground(self.model, recording, starts, horizon)
 
     def measure_errors(
         self, measured: Sequence[Array], simulated: Sequence[Array]

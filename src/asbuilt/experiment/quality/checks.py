@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -61,9 +61,6 @@ from asbuilt.experiment.root import root_of
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings
 from asbuilt.tables import preformat, wrap_text
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.free_base.base_checks import FloatingRoot
 
 TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
@@ -251,7 +248,17 @@ def check_recording(
     # Where the root moves, a stream is checked as if it were held.
     root = root_of(model)
     if root.moves and isinstance(recording, Recording):
-        return _check_with_root(root, recording)
+        # The joints are checked as if the root were held, then the root.
+        held = check_recording(*root.hold(recording))
+        has_clock = not _has_clock_error(held.findings)
+        of_both = root.add_findings(held.findings, recording, has_clock=has_clock)
+        return replace(
+            held,
+            n_joints=model.n_joints,
+            findings=rank_findings(of_both),
+            position_step=(),
+            position_noise=(),
+        )
     chunks = recording if isinstance(recording, RecordingStream) else (recording,)
     known = run_first_pass(model, chunks)
     findings = list(check_clock(known))
@@ -292,19 +299,6 @@ def check_recording(
         findings=rank_findings(findings),
         position_step=() if noise is None else tuple(noise.step.tolist()),
         position_noise=() if noise is None else tuple(noise.density.tolist()),
-    )
-
-
-def _check_with_root(root: FloatingRoot, recording: Recording) -> RecordingCheck:
-    """Check the joints as if the root were held, then the root."""
-    held = check_recording(*root.hold(recording))
-    has_clock = not _has_clock_error(held.findings)
-    return replace(
-        held,
-        n_joints=root.model.n_joints,
-        findings=rank_findings(root.add_findings(held.findings, recording, has_clock=has_clock)),
-        position_step=(),
-        position_noise=(),
     )
 
 

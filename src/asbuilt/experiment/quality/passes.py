@@ -166,8 +166,8 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         clock = clock.with_more(t, _mark_valid(chunk))
         repeats = repeats.with_more(not_repeated, begin)
         bits.append(np.packbits(not_repeated))
-        # Torques of a command jump with it: no spikes.
-        if chunk.torque_source != "command":
+        # Computed torques jump with what they follow from: no spikes.
+        if not chunk.has_computed_torque:
             spikes += [
                 TimedSpikes(spike.joint, t[spike.rows], spike.sizes)
                 for spike in find_spikes(chunk.tau, not_repeated)

@@ -15,6 +15,7 @@ from asbuilt.experiment.recording import Recording, find_changed_rows
 from asbuilt.experiment.signal.band_choice import POSITION_BANDWIDTHS, Band, choose_band
 from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.statistics import jackknife_covariance
 
 NEAR = 0.1
 """Distance from a multiple of the step, in steps, that counts as on it."""
@@ -163,7 +164,7 @@ class PositionNoise:
         changed = find_changed_rows(finite)
         if grid.rate < 1.0 or not changed[1:].any():
             return None
-        band = choose_band(grid.uniform(), grid.rate, computed=recording.torque_source == "command")
+        band = choose_band(grid.uniform(), grid.rate, computed=recording.has_computed_torque)
         step = find_position_steps([finite[changed]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
         # Quantisation is noise even where the spectrum does not show it.
@@ -352,13 +353,13 @@ def estimate_encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | Non
         return -float(fitted[1] / fitted[0]), fitted
 
     value, (s, b, c) = lag(np.arange(0))
-    parts = [lag(rows)[0] for rows in np.array_split(np.arange(t.size), BLOCKS)]
+    parts = [[lag(rows)[0]] for rows in np.array_split(np.arange(t.size), BLOCKS)]
+    variance = jackknife_covariance(np.array(parts))[0, 0]
     difference = other - s * own - c
     error = other - columns @ np.array([s, b, c])
     return EncoderLag(
         value,
-        # Jackknife of m blocks: sqrt(m - 1) times the standard deviation of the parts.
-        float(np.std(parts) * np.sqrt(BLOCKS - 1)),
+        float(np.sqrt(variance)),
         1.0 - float(np.mean(error**2) / np.mean(difference**2)),
         float(np.sqrt(np.mean(error**2))),
     )

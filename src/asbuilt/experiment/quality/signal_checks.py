@@ -10,7 +10,8 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.command.magnitude import (
-    MagnitudeLaw,
+    choose_sign_cure,
+    describe_laws,
     fit_magnitude_laws,
     is_magnitude,
 )
@@ -210,40 +211,13 @@ def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> 
     if np.count_nonzero(used) < 2 or np.any(measured.low < 0.0) or not _reverses(beginning):
         return
     laws = fit_magnitude_laws(beginning)
-    cure = Cure(
-        "use the commanded positions if the log has them, with torque_source = command",
-        settings={"torque_source": "command"},
-    )
-    # A sign by the command needs a law at every joint.
-    if all(law is not None and law.holds and law.kind == "motor" for law in laws):
-        cure = Cure(
-            'write sign = "command" in a recording sheet: the torque then has the sign of the'
-            " control error"
-        )
     yield Finding(
         "torque_unsigned",
         "warning",
         "no joint has a negative torque, though they move both ways: the log seems to hold"
         f" magnitudes whose sign is unknown{describe_laws(beginning.joint_names, laws)}",
-        cure,
+        choose_sign_cure(laws),
     )
-
-
-def describe_laws(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
-    """Return what the command explains of magnitudes, to follow a sentence; empty if nothing."""
-    parts = []
-    for kind, what in (
-        ("motor", "motor currents, in proportion to the torque"),
-        ("supply", "supply currents, which grow with the square of the torque"),
-    ):
-        listed = [
-            f"{name} ({100.0 * law.explained:.0f} % explained by the command)"
-            for name, law in zip(names, laws, strict=True)
-            if law is not None and law.holds and law.kind == kind
-        ]
-        if listed:
-            parts.append(f"the magnitudes of {join_names(listed)} are {what}")
-    return f"; {'; '.join(parts)}" if parts else ""
 
 
 def _mark_weight_bearing(model: RobotModel, recording: Recording) -> Mask:

@@ -515,7 +515,7 @@ def _report_scale(
     sure = sure and not placeholders and "torque" not in statistics.first.stated
     if statistics.first.torque_source == "current":
         return _report_current(model, gain, clear, "error" if sure else "warning")
-    if statistics.first.torque_source == "command":
+    if statistics.first.has_computed_torque:
         guess, cure = WRONG_SCALE
     elif 300 < scale < 3000:
         guess = "they look like mN m"

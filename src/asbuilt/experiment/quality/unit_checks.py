@@ -19,7 +19,7 @@ from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.tables import round_significant
 
 COUNTS = (*(2**k for k in range(9, 21)), *(36 * 10**k for k in range(2, 5)))
-"""Counts of a turn of encoders and servos, and of whole parts of a degree."""
+"""Counts of a turn of encoders, and of whole parts of a degree."""
 BETWEEN = tuple(2.0 ** (k / 16.0) for k in range(-8, 9) if k)
 """Factors on the counts of a turn that are tried beside those known: gears multiply them."""
 EXPLAINS = 0.5

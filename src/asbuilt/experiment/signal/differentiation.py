@@ -200,7 +200,8 @@ def compare_velocities(
         a = np.concatenate([np.gradient(pair[0][:, k]) * rate for pair in pairs])
         # w = gain v - gain lag dv/dt
         (gain, slope), *_ = np.linalg.lstsq(np.column_stack([v, a]), w, rcond=None)
-        lags[k], gains[k] = -slope / gain if gain else np.inf, gain
+        lags[k] = -slope / gain if gain else np.inf
+        gains[k] = gain
         removed = [
             # What the low-pass takes from each, before less after.
             np.sqrt(sum(float(np.sum((pair[2 + i][:, k] - pair[i][:, k]) ** 2)) for pair in pairs))

@@ -199,18 +199,16 @@ class PreparedMotion:
         return replace(samples, encoder=moved[:, at], encoder_at=side)
 
 
-def _fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
-    """Return the chain for a recording whose contacts open and close, if it is one.
+def _end_response(chain: SignalChain, recording: Recording) -> SignalChain:
+    """Return the chain for a recording with touch-downs, if it is one: its response ends.
 
     A touch-down is an acceleration without bound for the log. Wherever a low-pass spreads it, its
     force has to be projected away, so the response must end; a Butterworth filter rings on for 1.6
     periods.
     """
-    if recording.contact is None or chain.derivative != "central":
-        return chain
-    closed = recording.contact > 0.5
-    # Feet that never move make no touch-down.
-    return chain if np.all(closed == closed[0]) else replace(chain, derivative="gaussian")
+    if chain.derivative == "central" and recording.has_touch_downs:
+        return replace(chain, derivative="gaussian")
+    return chain
 
 
 def plan_grid(
@@ -240,8 +238,8 @@ def settle_chain(
 
     The bound is `Samples.clock_bound`.
     """
-    chain = _fit_contacts(chain, recording)
-    computed = recording.torque_source == "command"
+    chain = _end_response(chain, recording)
+    computed = recording.has_computed_torque
     notes = list[str]()
     clock_bound = np.inf
     # Checked before anything is chosen: no cutoff suits such a clock.
@@ -320,6 +318,8 @@ def assemble_samples(
     )
     # Logged rates are differences by whoever logged them, which take a sample to either side.
     logged = 1.0 / plan.rate if plan.chain.velocity == "measured" else 0.0
+    # Reactions last over the width of the filter: it spreads them so far.
+    reactions = recording.reactions_at(t, SPREAD / (plan.chain.cutoff or np.inf) + logged)
     return Samples(
         t=t,
         q=q,
@@ -339,9 +339,8 @@ def assemble_samples(
         # An infinite slowest speed leaves out every row of a joint without torque.
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
-        # Contacts count as open over the width of the filter: it spreads their forces so far.
-        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf) + logged),
-        pose_noise=() if recording.contact is None else plan.pose_noise(recording.q),
+        reactions=reactions,
+        pose_noise=plan.pose_noise(recording.q) if reactions else (),
     )
 
 
@@ -405,7 +404,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
 
 def replace_spikes(recording: Recording) -> Recording:
     """Return the recording with the mean of their neighbours in place of torques that stand out."""
-    if recording.torque_source == "command" or recording.n_samples < FEWEST:
+    if recording.has_computed_torque or recording.n_samples < FEWEST:
         return recording
     tau = np.array(recording.tau)
     found = find_spikes(tau, find_changed_rows(tau, recording.q))

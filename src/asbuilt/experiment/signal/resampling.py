@@ -286,7 +286,7 @@ def _drop_repeats(recording: Recording, index: Indices) -> Indices:
     A second torque channel that changes makes a sample new. Under a command nothing is dropped: its
     torque is computed, and must not decide which samples there are.
     """
-    if not index.size or (recording.torque_source == "command" and recording.command is not None):
+    if not index.size or recording.driving_command is not None:
         return index
     part = _simplify_indices(index)
     further = [channel for key, channel in recording.extra.items() if key.startswith("tau")]

@@ -63,15 +63,12 @@ class Samples:
     slowest
         Speed of each joint below which its rows do not count, since the direction of dry friction
         is unknown; infinite for a joint without a torque channel; empty: all count.
-    contact
-        Contacts of a robot with a free base, (N, n_contacts), above 0 where they are closed or may
-        be, so that forces act there which nobody measured; None: it touches nothing.
-    noise
-        Noise of the equation of each joint in units of a common one, by which its rows are divided
-        before forces at contacts are projected away; empty: the same for all.
+    reactions
+        Where forces act that nobody measured, or may, and in which units equations are without
+        them; by default none do.
     pose_noise
         Variance of the acceleration of each joint, after all filters, by white noise of the
-        positions, of robots with contacts; empty: unknown.
+        positions, of robots with reactions; empty: unknown.
     encoder, encoder_at
         Position, velocity and acceleration by a second encoder of each joint, (3, N, n), and its
         side of the drive train, "motor" or "link"; None: joints have one encoder.
@@ -109,8 +106,7 @@ class Samples:
     delay_errors: tuple[float, ...] = ()
     slowest: tuple[float, ...] = ()
     clock_bound: float = np.inf
-    contact: Array | None = None
-    noise: tuple[float, ...] = ()
+    reactions: Reactions = Reactions()  # noqa: RUF009 - frozen
     pose_noise: tuple[float, ...] = ()
     encoder: Array | None = None
     encoder_at: EncoderSide = "link"
@@ -127,7 +123,6 @@ class Samples:
             "qdd": (self.qdd, shape),
             "tau": (self.tau, shape),
             "tau_raw": (self.tau_raw if self.tau_raw.size else self.tau, shape),
-            "contact": (self.contact, (t.size, *np.shape(cast(Any, self.contact))[-1:])),
             "encoder": (self.encoder, (3, *shape)),
         }
         arrays = {name: _freeze(x) for name, (x, _) in expected.items() if x is not None}
@@ -141,6 +136,11 @@ class Samples:
                     f"{self.source}: {name} must have shape {expected[name][1]} for {t.size}"
                     f" samples of {shape[1]} joints, got {array.shape}"
                 )
+        if self.reactions.n_samples not in (None, t.size):
+            raise RecordingError(
+                f"{self.source}: reactions are known at {self.reactions.n_samples} times, and there"
+                f" are {t.size} samples"
+            )
         if any(later < earlier for earlier, later in pairwise(ends)):
             raise RecordingError(
                 f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
@@ -169,14 +169,14 @@ class Samples:
         return int(self.q.shape[1])
 
     @property
+    def has_computed_torque(self) -> bool:
+        """Whether its torque was not measured, but is what a law makes of commands."""
+        return self.torque_source == "command"
+
+    @property
     def has_torque(self) -> Mask:
         """Which joints have a usable torque channel, shape (n,)."""
         return np.isfinite(self.slowest or np.zeros(self.n_joints))
-
-    @property
-    def reactions(self) -> Reactions:
-        """Forces that act on the robot and that nobody measured."""
-        return Reactions(self.contact, self.noise)
 
     @property
     def n_filtered(self) -> int:
@@ -274,14 +274,19 @@ class Samples:
         """Return the samples of segments alone."""
         if sum(b - a for a, b in self.segments) == self.n_samples:
             return self
-        names = ("t", "q", "qd", "qdd", "tau", "tau_raw", "contact")
-        arrays = {name: getattr(self, name) for name in names}
-        kept = {k: None if x is None else self.in_segments(x) for k, x in arrays.items()}
+        names = ("t", "q", "qd", "qdd", "tau", "tau_raw")
+        kept = {name: self.in_segments(getattr(self, name)) for name in names}
         if self.encoder is not None:
             # An axis for position, velocity and acceleration stands first.
             kept["encoder"] = np.stack([self.in_segments(x) for x in self.encoder])
+        rows = np.concatenate([np.arange(a, b) for a, b in self.segments])
         bounds = [0, *np.cumsum([b - a for a, b in self.segments]).tolist()]
-        return replace(self, **cast(Any, kept), segments=tuple(pairwise(bounds)))
+        return replace(
+            self,
+            **cast(Any, kept),
+            reactions=self.reactions.at(rows),
+            segments=tuple(pairwise(bounds)),
+        )
 
     def between(self, start: float, stop: float) -> Samples:
         """Return the samples with `start <= t < stop` [s]."""

@@ -32,7 +32,7 @@ class SignalChain:
     rate
         Rate [Hz] to which the recording is resampled.
     derivative
-        How velocity and acceleration follow from positions. Where contacts open and close,
+        How velocity and acceleration follow from positions. Where feet touch down and lift,
         "central" is "gaussian": differences as well, by a low-pass whose response ends.
     velocity
         Whether logged velocities are used; "auto" compares them with the derivative.

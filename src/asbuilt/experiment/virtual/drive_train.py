@@ -154,6 +154,7 @@ class PositionController:
 
     logs_torque: ClassVar[bool] = True
     preset_text: ClassVar[str] = "choose another preset"
+    fastest: ClassVar[float] = 0.0
 
     bandwidth: float = 12.0
     damping: float = 1.0
@@ -234,6 +235,8 @@ class JointServo:
 
     logs_torque: ClassVar[bool] = False
     preset_text: ClassVar[str] = "choose the preset servo"
+    # Highest frequency that a random motion for it should have [Hz], as the links are light.
+    fastest: ClassVar[float] = 1.0
 
     kp: PerJoint
     kd: PerJoint = 0.0

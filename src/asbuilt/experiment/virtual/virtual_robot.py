@@ -46,7 +46,9 @@ from asbuilt.experiment.virtual.sensors import (
 from asbuilt.findings import Cure
 from asbuilt.ranges import check_choice
 
-MeasuredTorque = Literal["sensor", "motor", "current"]
+FEWEST_HARMONICS = 5
+"""Harmonics of a random motion of any robot, as `random_fourier` has by itself."""
+SensedTorque = Literal["sensor", "motor", "current"]
 Seed = np.random.Generator | int | None
 
 _FOLLOW = Cure("choose the preset of another engine")
@@ -139,7 +141,7 @@ class VirtualRobot:
     controller: PositionController | JointServo | None = field(default_factory=PositionController)
     sensors: SensorNoise = PERFECT_SENSORS
     logger: DataLogger = field(default_factory=DataLogger)
-    torque: MeasuredTorque = "motor"
+    torque: SensedTorque = "motor"
     behind: float = 1.0
     name: str = "custom"
 
@@ -267,8 +269,13 @@ class VirtualRobot:
         """What computes the motion."""
         return "inverse-dynamics" if self.controller is None else "mujoco"
 
+    def count_harmonics(self, duration: float) -> int:
+        """Return how many harmonics a random motion of a duration [s] needs to show this robot."""
+        fastest = 0.0 if self.controller is None else self.controller.fastest
+        return max(FEWEST_HARMONICS, round(fastest * duration))
+
     @property
-    def torque_source(self) -> MeasuredTorque:
+    def torque_source(self) -> SensedTorque:
         """What measured the torque that is logged."""
         if isinstance(self.train, TermDrives):
             return "motor" if "armature" in self.train.drive.keys else "sensor"

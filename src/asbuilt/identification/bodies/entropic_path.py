@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +37,14 @@ START_PARTS = (1e-2, 1e-3, 1e-4)
 """Least pseudo-inertias of the start relative to CAD; later ones for masses far below CAD."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Reached:
+    """Hold fits of one weight, and the factors (m, p + 1, p + 1) that they are of."""
+
+    factors: Array
+    fits: EntropicFits
+
+
 class EntropicPath:
     """Fits from the strongest weight to weaker ones, each from the one before.
 
@@ -45,8 +54,7 @@ class EntropicPath:
     def __init__(self, prior: CadPrior, base: BaseParameters, bounds: BodyBounds) -> None:
         self._problem = EntropicProblem(prior, Coordinates.of(base), bounds)
         self._start = _find_inside(prior, bounds)
-        self._reached: dict[float, EntropicFits] = {}
-        self._factors: Array | None = None
+        self._reached: dict[float, _Reached] = {}
 
     def fit_descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
@@ -54,8 +62,9 @@ class EntropicPath:
         fits = dict[float, Array]()
         # Through all stronger weights, as links may lie far from CAD.
         for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
-            if factors is self._factors and weight in self._reached:
-                fits[weight] = self._reached[weight].chi
+            reached = self._reached.get(weight)
+            if reached is not None and reached.factors is factors:
+                fits[weight] = reached.fits.chi
                 continue
             with suppress(IdentifiabilityError):
                 fits[weight] = self.fit_roughly(factors, weight)
@@ -64,14 +73,12 @@ class EntropicPath:
     def fit_roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
         """Return the fits of many factors, to a small part of a standard error, for one weight."""
         # The last stronger weight that converged is the nearest start.
-        stronger = [self._reached[other] for other in self._reached if other > weight]
+        stronger = [self._reached[other].fits for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
-        self._factors = factors
         # Squared distance from the minimum, in squared standard errors, at which a rough fit ends.
-        self._reached[weight] = self._problem.fit(
-            factors, weight, start, barrier=barrier, close=1e-3
-        )
-        return self._reached[weight].chi
+        fits = self._problem.fit(factors, weight, start, barrier=barrier, close=1e-3)
+        self._reached[weight] = _Reached(factors, fits)
+        return fits.chi
 
     def fit_unbarred(self, factors: Array, weight: float) -> Array:
         """Return rough fits in which CAD, not the barrier, decides what factors leave open.
@@ -91,7 +98,7 @@ class EntropicPath:
                     self.fit_roughly(factor[None], stronger_weight)
             self.fit_roughly(factor[None], weight)
         return np.asarray(
-            self._problem.fit(factor[None], weight, self._reached[weight].last).chi[0]
+            self._problem.fit(factor[None], weight, self._reached[weight].fits.last).chi[0]
         )
 
 

@@ -17,9 +17,10 @@ from asbuilt.identification.calibration.payload import (
     LARGEST_ERROR,
     choose_payload_frame,
 )
-from asbuilt.identification.calibration.payload_rows import PayloadRows, jackknife_covariance
+from asbuilt.identification.calibration.payload_rows import PayloadRows, solve_without_blocks
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.scaled import Scaled
+from asbuilt.statistics import jackknife_covariance
 
 NAMES = ("mx", "my", "mz", "m")
 """First moments [kg m] in the axes of the frame, and mass [kg]."""
@@ -107,7 +108,8 @@ def identify_added_moments(
             " determined",
             cure=Cure("name the frame that carries it, or move the joints that lift it"),
         )
-    covariance = jackknife_covariance(blocks) * np.outer(columns.present, columns.present)
+    covariance = jackknife_covariance(solve_without_blocks(blocks))
+    covariance = covariance * np.outer(columns.present, columns.present)
     covariance = covariance[: len(chosen), : len(chosen)]
     if not unloaded:
         covariance = covariance + _propagate_arm_covariance(result, rows, chosen, columns)

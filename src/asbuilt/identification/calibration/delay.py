@@ -29,12 +29,12 @@ from asbuilt.identification.information.square_root_information import (
     accumulate_stream,
     reduce_rows,
 )
-from asbuilt.identification.statistics import estimate_mean_error
 from asbuilt.identification.uncertainty.delay_errors import (
     DelayColumns,
     DelaySolution,
     build_delay_columns,
 )
+from asbuilt.statistics import estimate_mean_error
 
 Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""

@@ -12,6 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.experiment.quality.torque_fit import BREAKAWAY
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.scaled import Scaled
+from asbuilt.statistics import jackknife_covariance
 from asbuilt.tables import format_plus_minus
 
 # Hold when what lies between two encoders is determined: own choices.
@@ -319,7 +320,7 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
 
     raw = coefficients(whole)
     parts = np.array([_derive_physical_values(coefficients(whole - square)) for square in squares])
-    error = np.sqrt((len(parts) - 1) * np.mean((parts - parts.mean(axis=0)) ** 2, axis=0))
+    error = np.sqrt(np.diag(jackknife_covariance(parts)))
     left = rows[:, -1] - rows[:, :-1] @ raw
     lag, c, relaxation, rotor, play = _derive_physical_values(raw).tolist()
     errors = error.tolist()

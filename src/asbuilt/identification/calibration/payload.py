@@ -30,8 +30,8 @@ from asbuilt.identification.calibration.payload_rows import (
     PayloadRows,
     derive_gain_errors,
     gain_covariance,
-    jackknife_covariance,
     name_doubtful_gains,
+    solve_without_blocks,
     split_by_joint,
 )
 from asbuilt.identification.information.triangular import solve_factor, triangular_factor
@@ -43,6 +43,7 @@ from asbuilt.identification.result.torque_prediction import (
     torque_metrics,
 )
 from asbuilt.scaled import Scaled
+from asbuilt.statistics import jackknife_covariance
 from asbuilt.tables import (
     SIGNIFICANT_SIGMAS,
     Column,
@@ -491,7 +492,7 @@ def _jackknife(
     if arm == "frozen":
         rows = [_subtract_arm(block, estimates) for block in blocks]
         held = vague
-    return jackknife_covariance(rows, held)[-10:, -10:]
+    return jackknife_covariance(solve_without_blocks(rows, held))[-10:, -10:]
 
 
 def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:

@@ -108,17 +108,15 @@ def map_to_payload(base: BaseParameters, link: int, shift: Array) -> tuple[Indic
     return columns, bare, carried
 
 
-def jackknife_covariance(blocks: Sequence[Array], held: Array | None = None) -> Array:
-    """Return the covariance (m, m) of what rows `[A | y]` determine, without a block at a time.
+def solve_without_blocks(blocks: Sequence[Array], held: Array | None = None) -> Array:
+    """Return what rows `[A | y]` determine without each of the blocks, (blocks, m).
 
     Rows that are `held`, as of a prior, stay.
     """
     grams = [block.T @ block for block in blocks]
     total = np.asarray(sum(grams if held is None else [held.T @ held, *grams]))
     rests = (total - gram for gram in grams)
-    found = np.array([Scaled(rest[:-1, :-1]).solve(rest[:-1, -1]) for rest in rests])
-    apart = found - found.mean(axis=0)
-    return np.asarray((len(found) - 1) / len(found) * apart.T @ apart)
+    return np.array([Scaled(rest[:-1, :-1]).solve(rest[:-1, -1]) for rest in rests])
 
 
 def gravity_scales(result: IdentificationResult) -> Array:

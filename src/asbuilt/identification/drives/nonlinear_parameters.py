@@ -224,12 +224,13 @@ def _fit_one(
         high = np.where(left, b, high)
         renewed = np.where(left, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
         at = error(real(renewed))
-        a, b, at_a, at_b = (
-            np.where(left, renewed, b),
-            np.where(left, a, renewed),
-            np.where(left, at, at_b),
-            np.where(left, at_a, at),
-        )
+        # The point that stays is an inner one of the smaller span.
+        kept = np.where(left, a, b)
+        at_kept = np.where(left, at_a, at_b)
+        a = np.where(left, renewed, kept)
+        b = np.where(left, kept, renewed)
+        at_a = np.where(left, at, at_kept)
+        at_b = np.where(left, at_kept, at)
     values = real(np.where(at_a < at_b, a, b))
     least = np.minimum(at_a, at_b)
     of_grid = errors.min(axis=0)

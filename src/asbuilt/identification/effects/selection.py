@@ -16,13 +16,13 @@ from asbuilt.identification.effects.gathering import EFFECT_COLUMNS, At, Candida
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.equations import BlockRows
-from asbuilt.identification.statistics import exceeds
 from asbuilt.identification.uncertainty.bias import (
     OmittedBias,
     derive_estimate_moves,
     shrink_effects,
 )
 from asbuilt.scaled import Scaled
+from asbuilt.statistics import exceeds
 
 if TYPE_CHECKING:
     from asbuilt.identification.identify import Fit

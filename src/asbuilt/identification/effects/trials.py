@@ -25,7 +25,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate
 from asbuilt.identification.information.equations import MODEL, BlockRows, Products, Squares
-from asbuilt.identification.statistics import estimate_mean_error
+from asbuilt.statistics import estimate_mean_error
 
 
 @dataclass(frozen=True, slots=True)

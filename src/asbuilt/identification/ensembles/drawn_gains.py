@@ -15,19 +15,56 @@ from asbuilt.identification.result.result import IdentificationResult
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnGains:
-    """Hold N draws of a servo, equally probable, as columns beside those of the robot.
+    """Hold what is drawn of the law of the drives: nothing, N times, where torques were measured.
+
+    Draws are columns beside those of the robot.
+    """
+
+    n: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return ()
+
+    def list_units(self, model: RobotModel) -> tuple[str, ...]:
+        """Return the units of the columns."""
+        return ()
+
+    def list_joints(self, model: RobotModel) -> tuple[str, ...]:
+        """Return the joint of each column, "all" of one that concerns all."""
+        return ()
+
+    @property
+    def table(self) -> Array:
+        """The columns of every draw, shape (N, columns)."""
+        return np.empty((self.n, 0))
+
+    @property
+    def middle(self) -> Array:
+        """The same as identified, shape (columns,)."""
+        return np.empty(0)
+
+    def law(self, draw: int) -> PositionServo | None:
+        """Return the law of a draw, counted from 0; None without one."""
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnServo(DrawnGains):
+    """Hold N draws of a position servo, equally probable.
 
     Attributes
     ----------
     servo
-        The servo as identified; None where torques were measured, which has no columns.
+        The servo as identified.
     kp, kd
         Gains (N, n).
     delay
         Delay [s], shape (N,).
     """
 
-    servo: PositionServo | None
+    servo: PositionServo
     kp: Array
     kd: Array
     delay: Array
@@ -35,15 +72,11 @@ class DrawnGains:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns: `kp1 ... kd1 ... delay`."""
-        if self.servo is None:
-            return ()
         numbers = range(1, self.kp.shape[1] + 1)
         return (*(f"kp{k}" for k in numbers), *(f"kd{k}" for k in numbers), "delay")
 
     def list_units(self, model: RobotModel) -> tuple[str, ...]:
         """Return the units of the columns."""
-        if self.servo is None:
-            return ()
         turning = [joint.is_revolute for joint in model.joints]
         return (
             *("N m/rad" if revolute else "N/m" for revolute in turning),
@@ -53,27 +86,21 @@ class DrawnGains:
 
     def list_joints(self, model: RobotModel) -> tuple[str, ...]:
         """Return the joint of each column, "all" of the delay."""
-        return () if self.servo is None else (*model.joint_names, *model.joint_names, "all")
+        return (*model.joint_names, *model.joint_names, "all")
 
     @property
     def table(self) -> Array:
         """The columns of every draw, shape (N, columns)."""
-        if self.servo is None:
-            return np.empty((len(self.kp), 0))
         return np.column_stack([self.kp, self.kd, self.delay])
 
     @property
     def middle(self) -> Array:
         """The same of the servo as identified, shape (columns,)."""
-        if self.servo is None:
-            return np.empty(0)
         gains = np.nan_to_num(np.concatenate([self.servo.kp, self.servo.kd]))
         return np.append(gains, self.servo.delay or 0.0)
 
-    def law(self, draw: int) -> PositionServo | None:
-        """Return the servo of a draw, counted from 0; None without one."""
-        if self.servo is None:
-            return None
+    def law(self, draw: int) -> PositionServo:
+        """Return the servo of a draw, counted from 0."""
         return replace(
             self.servo,
             kp=tuple(self.kp[draw].tolist()),
@@ -93,7 +120,7 @@ def draw_gains(
     servo = result.servo
     errors = result.servo_errors
     if servo is None:
-        return DrawnGains(None, np.empty((n, 0)), np.empty((n, 0)), np.zeros(n)), None, []
+        return DrawnGains(n), None, []
     kp, factors, notes = _draw_stiffness(result, servo, n, random)
     kd = np.tile(np.nan_to_num(np.array(servo.kd)), (n, 1))
     late = (0.0 if errors is None else errors.delay) * random.normal(size=n)
@@ -103,7 +130,7 @@ def draw_gains(
             "the lead of the servo is the identified one in every draw; its standard error is"
             f" {1e3 * errors.lead:.2g} ms"
         )
-    return DrawnGains(servo, kp, kd, delay), factors, notes
+    return DrawnServo(n, servo, kp, kd, delay), factors, notes
 
 
 def _draw_stiffness(

@@ -15,8 +15,8 @@ from asbuilt.identification.bodies.entropic_path import DESCENT
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import join_factors, stack_factors
-from asbuilt.identification.statistics import exceeds
 from asbuilt.scaled import Scaled
+from asbuilt.statistics import exceeds
 
 Fits = Callable[[Array, float], Array]
 """Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, by descending weight."""

@@ -251,7 +251,7 @@ class SampleBlock:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
         A chunk is valid until the next. Rows of a joint that moves slower than `samples.slowest`
-        are zero. Where reactions are projected away, rows are in units of `samples.noise`.
+        are zero. Where reactions are projected away, rows are in units of their noise.
         `further` returns more columns of a span of samples, each (L, n), placed before the torque;
         `plan` has a spare row for each and one more.
         """

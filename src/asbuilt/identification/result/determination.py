@@ -24,6 +24,7 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.as_built_parameters import known_information
+from asbuilt.identification.result.estimate_to_result import POOR_RELATIVE_ERROR
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.scaled import Scaled
 from asbuilt.tables import format_share, round_significant
@@ -33,14 +34,12 @@ from asbuilt.tables import format_share, round_significant
 class DeterminationThresholds:
     """Limits by which parameters are classed as determined and further motions are compared.
 
-    The limits of standard errors are conventions of this program: 10 % serves simulation, and an
-    error of half the value leaves its sign in doubt at two standard errors.
+    What is hardly determined is said by `POOR_RELATIVE_ERROR`, as in the findings of a result.
     """
 
     well: float = 0.10
-    """Largest standard error of a parameter determined well, relative to estimate or CAD."""
-    poor: float = 0.50
-    """Standard error, relative to the same, above which a parameter is determined poorly."""
+    """Largest standard error of a parameter determined well, relative to estimate or CAD: a
+    convention of this program, which serves simulation."""
     correlated: float = 2.5
     """Smallest ratio of an error to its value with the other parameters known (the square root of
     the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
@@ -121,7 +120,7 @@ class Determination:
         parts = [
             f"Standard error at most {100 * LIMITS.well:g} %: {len(self.well)} of"
             f" {sum(map(len, classes))} parameters",
-            f"at most {100 * LIMITS.poor:g} %: {len(self.fairly)} more",
+            f"at most {100 * POOR_RELATIVE_ERROR:g} %: {len(self.fairly)} more",
             *([worse] if self.hardly else []),
             *([f"undetermined: {len(self.not_at_all)}"] if self.not_at_all else []),
             *([f"dropped: {len(self.dropped)}"] if self.dropped else []),
@@ -132,7 +131,7 @@ class Determination:
     def sentences(self) -> tuple[str, ...]:
         """Classes, correlated parameters and advice, in sentences."""
         well = f"{100 * LIMITS.well:g} %"
-        poor = f"{100 * LIMITS.poor:g} %"
+        poor = f"{100 * POOR_RELATIVE_ERROR:g} %"
         classes = (
             (f"Standard error at most {well}", self.well, ""),
             (f"Standard error of {well} to {poor}", self.fairly, ""),
@@ -218,7 +217,7 @@ def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
     error = result.std_errors
     determined = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
     well = determined & (error <= LIMITS.well * size)
-    hardly = determined & (error > LIMITS.poor * size)
+    hardly = determined & (error > POOR_RELATIVE_ERROR * size)
     return {
         "well": well,
         "fairly": determined & ~well & ~hardly,

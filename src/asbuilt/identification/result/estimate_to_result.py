@@ -33,13 +33,12 @@ from asbuilt.identification.uncertainty.uncertainty import (
 )
 from asbuilt.tables import format_plus_minus
 
-# Say when a parameter is poorly determined: both must hold; own choice.
-#
-# `POOR_DETERMINATION_RELATIVE_ERROR` is the standard error as a fraction of the larger of estimate
-# and CAD value, `POOR_DETERMINATION_TORQUE` the torque it stands for as a fraction of the residual.
-
-POOR_DETERMINATION_RELATIVE_ERROR = 0.5
-POOR_DETERMINATION_TORQUE = 0.05
+POOR_RELATIVE_ERROR = 0.5
+"""Standard error, relative to the larger of estimate and CAD value, above which a parameter is
+determined hardly: at two standard errors its sign is in doubt. Own choice."""
+POOR_TORQUE = 0.05
+"""Torque that such an error stands for, relative to the residual, above which the parameter is
+poorly determined; below, its error is negligible for this motion. Own choice."""
 
 
 MOST_DIRECTIONS = 6
@@ -211,9 +210,7 @@ def _find_poorly_determined(
         axis=0,
     )
     torque = error * column / np.sqrt(information.n_samples)
-    return np.asarray(
-        (error > POOR_DETERMINATION_RELATIVE_ERROR * size) & (torque > POOR_DETERMINATION_TORQUE)
-    )
+    return np.asarray((error > POOR_RELATIVE_ERROR * size) & (torque > POOR_TORQUE))
 
 
 def report_estimation(

@@ -25,7 +25,7 @@ from asbuilt.identification.result.as_built_parameters import (
     find_estimable_root,
 )
 from asbuilt.identification.result.result import IdentificationResult, Identified
-from asbuilt.identification.statistics import USUAL_ALPHA
+from asbuilt.statistics import USUAL_ALPHA
 from asbuilt.tables import format_plus_minus, format_range, round_significant
 
 Region = Literal["each", "joint"]

@@ -107,7 +107,9 @@ def leg_advice(
 def standing_posture(samples: Sequence[Samples]) -> Array:
     """Return the median position (n,) of samples where most contacts are closed."""
     q = np.concatenate([sample.q for sample in samples])
-    touched = [sample.contact for sample in samples if sample.contact is not None]
+    touched = [
+        sample.reactions.contact for sample in samples if sample.reactions.contact is not None
+    ]
     if len(touched) < len(samples):
         return np.asarray(np.median(q, axis=0))
     closed = np.concatenate([np.sum(each > 0.0, axis=1) for each in touched])
@@ -194,7 +196,7 @@ def find_foot_moments(
     Lengths are fitted with all base parameters to what forces at the feet leave, with errors by the
     scatter of time blocks. Samples weigh `1 / (1 + r / median(r))` with their squared residual r.
     """
-    used = [batch for batch in samples if batch.contact is not None]
+    used = [batch for batch in samples if batch.reactions]
     if model.n_floating != 6 or not used or any(contact.flat for contact in model.contacts):
         return None
     base = information.base
@@ -251,8 +253,9 @@ def _build_rows(
     """
     every = slice(None, None, -(-batch.n_samples // SAMPLES))
     q, qd, qdd, tau = (x[every] for x in (batch.q, batch.qd, batch.qdd, batch.tau))
-    assert batch.contact is not None
-    closed = batch.contact[every] > 0.0
+    contact = batch.reactions.contact
+    assert contact is not None
+    closed = contact[every] > 0.0
     n = model.n_joints
     W = observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
     W = W.reshape(len(q), n, -1)

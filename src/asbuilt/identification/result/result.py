@@ -42,11 +42,11 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.identification.servo.servo_rows import ServoErrors
-from asbuilt.identification.statistics import USUAL_ALPHA, confidence_intervals
 from asbuilt.identification.uncertainty.block_scatter import BlockScatter, ErrorBasis
 from asbuilt.identification.uncertainty.delay_errors import RecordingDelay
 from asbuilt.identification.uncertainty.uncertainty import FreeValues
 from asbuilt.registry import Registry
+from asbuilt.statistics import USUAL_ALPHA, confidence_intervals
 
 if TYPE_CHECKING:
     import polars as pl

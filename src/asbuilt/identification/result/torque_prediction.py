@@ -259,7 +259,7 @@ def pair_with_measured(model: RobotModel, samples: Samples, torque: Iterable[Arr
     joints without a torque channel are NaN.
     """
     # Torques are compared in their unit, not in that of the noise.
-    plain = replace(samples.reactions, noise=())
+    plain = samples.reactions.in_units_of(())
     squares = np.zeros((1, len(samples.joint_names)))
 
     def project(values: Iterable[Array]) -> Iterator[Array]:

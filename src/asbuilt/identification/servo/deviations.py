@@ -202,8 +202,8 @@ def find_goal_limit(
 
     For each limit `goal - q = W b + v qd + step dgoal/dt` is fitted joint by joint, with everything
     free. The cost holds for residuals whose variance varies from block to block, with a bounded
-    influence of each (`n log(1 + r / median)` for the mean square r of n rows), so that contact
-    does not count.
+    influence of each (`n log(1 + r / median)` for the mean square r of n rows), so that
+    collisions do not count.
 
     Parameters
     ----------

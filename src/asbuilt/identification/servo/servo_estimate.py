@@ -44,7 +44,7 @@ from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, with_e
 
 UNEXPLAINED = 3.0
 """Residual of a second, in residuals of the median second, from which the model lacks its cause:
-contact, or a limit of the servo. Residuals of friction stay below."""
+a collision, or a limit of the servo. Residuals of friction stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +158,7 @@ def estimate_servo(
     # An unknown stiffness leaves the noise of the equations without a unit.
     noise = samples if unknown.any() else with_equation_noise(model, samples)
     motions = [
-        CommandedMotion(model, base, recording, chain, holdout, filters, noise[0].noise)
+        CommandedMotion(model, base, recording, chain, holdout, filters, noise[0].reactions.noise)
         for recording in recordings
     ]
 

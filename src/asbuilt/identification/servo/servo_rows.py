@@ -38,7 +38,7 @@ class BlockRules:
     fewest: int = 5
     """Rows of a joint in a block below which its residual does not count."""
     block: float = 1.0
-    """Length of a time block [s], short enough to leave out contact and little else."""
+    """Length of a time block [s], short enough to leave out a collision and little else."""
     run: int = 8
     """Time blocks whose rows are made at once."""
     most_held: float = 50e6
@@ -166,7 +166,8 @@ class CommandedMotion:
 
     def _divide(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
-        kept = drop_saturated(replace(samples, noise=self.noise), self.recording)
+        reactions = samples.reactions.in_units_of(self.noise)
+        kept = drop_saturated(replace(samples, reactions=reactions), self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 
     def _list_runs(self) -> Iterable[_Run]:

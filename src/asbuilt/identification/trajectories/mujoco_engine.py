@@ -14,7 +14,7 @@ from asbuilt.dynamics import drive_torque, inverse_dynamics
 from asbuilt.experiment.virtual.physics import Physics, import_mujoco
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import SLOWEST
-from asbuilt.identification.trajectories.windows import Windows, add_ground
+from asbuilt.identification.trajectories.windows import Windows
 
 AT_JOINTS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that MuJoCo's joints have, and a constant torque."""
@@ -81,7 +81,7 @@ class _Engine:
             if robot.servo is not None:
                 _add_servo(self.mujoco, spec, robot)
             if ground is not None:
-                add_ground(self.mujoco, spec, robot.model, ground, step)
+                ground.add_to(self.mujoco, spec, robot.model, step)
 
         self.physics = Physics(
             robot.model,

@@ -26,7 +26,7 @@ class Steps:
     step lowered it by less. `damping` is the first relative damping; it falls fast, since little of
     it holds directions that only CAD determines.
     Windows whose error is beyond `outlying` times the `usual` quantile count no more than if it
-    were that (a bounded influence, for contact and servo limits).
+    were that (a bounded influence, for moments that the model lacks).
     """
 
     rounds: int = 6

@@ -108,7 +108,7 @@ def choose_driving_signal(recording: Recording) -> DriveSignal:
         If it has neither a command nor a torque.
     """
     kind: DrivenBy = "torque"
-    if recording.command is not None and recording.torque_source == "command":
+    if recording.driving_command is not None:
         kind = "command"
     elif not np.any(np.isfinite(recording.tau)):
         raise RecordingError(

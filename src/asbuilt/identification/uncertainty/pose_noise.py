@@ -28,7 +28,6 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, find_base_parameters, observation_matrix
 from asbuilt.dynamics.drives.torque import choose_usual_drive
-from asbuilt.dynamics.reactions import contact_basis
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment import Recording, Samples, resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
@@ -180,25 +179,25 @@ def expect_pose_noise(
 def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) -> Array:
     """Return the mean `E[dW_k^T dW_k]` (n, p, p) over the states of samples."""
     squares = np.zeros((model.n_joints, base.n_base, base.n_base))
-    if not samples.pose_noise or samples.contact is None:
+    if not (samples.pose_noise and samples.reactions):
         return squares
     step = max(1, -(-len(samples.q) // POSE_NOISE_STATES))
     q = samples.q[::step]
-    contact = samples.contact[::step]
+    reactions = samples.reactions.at(slice(None, None, step))
     still = np.zeros_like(q)
-    scale = np.array(samples.noise) if samples.noise else np.ones(model.n_joints)
-    basis = contact_basis(model, q, contact, samples.noise)
+    scale = np.array(reactions.noise) if reactions.noise else np.ones(model.n_joints)
+    basis = reactions.basis(model, q)
 
     def rows(qdd: Array) -> Array:
         return observation_matrix(model, q, still, qdd, drive=base.drive, columns=base.columns)
 
     rest = rows(still)
-    noise = samples.pose_noise[: model.n_floating]
-    for unit, variance in zip(np.eye(model.n_joints), noise, strict=False):
+    of_base = samples.pose_noise[: model.driven_joints.start]
+    for unit, variance in zip(np.eye(model.n_joints), of_base, strict=False):
         # W is linear in the accelerations, so that a unit gives dW, in units of the equation's
         # noise.
         moved = (rows(still + unit) - rest).reshape(len(q), len(scale), -1) / scale[:, None]
-        # P dW: what forces at contacts take is taken from the noise as well.
+        # P dW: what reactions take is taken from the noise as well.
         moved -= np.einsum("mns,mks,skp->snp", basis, basis, moved, optimize=True)
         squares += variance / len(q) * np.einsum("snp,snr->npr", moved, moved, optimize=True)
     return squares
@@ -216,17 +215,17 @@ EQUATION_SAMPLES = 2000  # Samples of each recording whose projections are avera
 def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[Samples, ...]:
     """Return samples whose equations are weighted by their noise where feet touch the ground.
 
-    The noise is relative to the noise of the driven joints. Samples of robots without contacts are
-    returned as they are.
+    The noise is relative to the noise of the driven joints. Samples without reactions are returned
+    as they are.
     """
-    if not model.contacts or any(batch.contact is None for batch in samples):
+    if not (model.has_reactions and all(batch.reactions for batch in samples)):
         return tuple(samples)
     base = find_base_parameters(model, choose_usual_drive(model, samples[0].torque_source))
     seen = accumulate_stream(model, base, samples)
     shares = np.mean([_average_squared_projection(model, batch) for batch in samples], axis=0)
     # Forces and moments on the base, and torques of the driven joints.
     group = np.array([int(joint.is_revolute) for joint in model.joints])
-    group[model.n_floating :] = 2
+    group[model.driven_joints] = 2
     plain = weighted = tuple(samples)
     for _ in range(EQUATION_FITS):
         information = seen if weighted is plain else accumulate_stream(model, base, weighted)
@@ -235,7 +234,9 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
         variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
         # Relative to the driven joints, whose weights the fit finds itself.
         noise = tuple(np.sqrt(variances / variances[2])[group].tolist())
-        weighted = tuple(replace(batch, noise=noise) for batch in samples)
+        weighted = tuple(
+            replace(batch, reactions=batch.reactions.in_units_of(noise)) for batch in samples
+        )
     return weighted
 
 
@@ -260,10 +261,9 @@ def solve_equation_variances(shares: Array, squares: Array) -> Array:
 
 def _average_squared_projection(model: RobotModel, samples: Samples) -> Array:
     """Return the mean of `P_kj^2` (n, n) over samples."""
-    assert samples.contact is not None
     at = np.linspace(0, samples.t.size - 1, min(EQUATION_SAMPLES, samples.t.size)).astype(np.int64)
-    basis = contact_basis(model, samples.q[at], samples.contact[at])
-    # P = 1 - Q^T Q with an orthonormal basis Q of what contacts act on.
+    basis = samples.reactions.in_units_of(()).at(at).basis(model, samples.q[at])
+    # P = 1 - Q^T Q with an orthonormal basis Q of what reactions act on.
     P = np.eye(model.n_joints) - np.einsum("ikn,ijn->nkj", basis, basis)
     return np.asarray(np.mean(P**2, axis=0))
 

@@ -250,8 +250,8 @@ def _estimate_degrees_of_freedom(leverages: Array, weight: Array) -> Array:
 def estimate_recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
     """Return the variances (p,) of base parameters with whole recordings as clusters.
 
-    Blocks of one recording share what the model lacks in its motion, such as a law of the servo
-    that only steps show; then the scatter of blocks is too small, and of recordings it is not
+    Blocks of one recording share what the model lacks in its motion, such as a law that only
+    steps show; then the scatter of blocks is too small, and of recordings it is not
     (CR2, as in `estimate_block_uncertainty`, Student's quantile of its few degrees of freedom
     included).
     Zero if there are fewer than `FEWEST_RECORDINGS`.

@@ -11,6 +11,7 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
+from asbuilt.statistics import estimate_mean_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import Validation
 
@@ -224,7 +225,7 @@ MOST = 0.8
 """Parts of the time; how many in a row, at most, have this share of the squared error if it comes
 and goes."""
 ONE_SIDED = 0.5
-"""Mean error over its RMS from which that span is pushed: contacts of 4 s in virtual logs of two
+"""Mean error over its RMS from which that span is pushed: pushes of 4 s in virtual logs of two
 arms have 0.55 and 0.75, errors in nine real recordings at most 0.34."""
 PUSHED = 0.1
 """RMS error in that span over the standard deviation of a joint's torque that is a push."""
@@ -242,7 +243,7 @@ def report_unexplained(training: Sequence[Validation]) -> Iterator[Finding]:
         largest = float(np.max(np.sqrt(np.mean(validation.measured**2, axis=0))))
         for k in np.flatnonzero(error > MATTERS * largest):
             wrong = validation.error[:, k]
-            # A contact comes once: in one span of the time.
+            # A push comes once: in one span of the time.
             within = find_large_errors(validation.t, wrong)
             pushed = within is not None and _is_push(wrong[within], spread[k])
             # Half the standard deviation is a quarter of the variance.
@@ -382,7 +383,6 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
         left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
         mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING_FOLDS
         shares = -left / mean
-        error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING_FOLDS)
         # The best prior by held-out error, with its standard error.
-        best = max(best, (float(shares.mean()), error_of_mean))
+        best = max(best, (float(shares.mean()), estimate_mean_error(shares)))
     return best

@@ -8,7 +8,9 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from asbuilt.description.model import RobotModel
 from asbuilt.description.plausibility import (
     explain_implausible_links,
     find_wrong_units,
@@ -283,35 +285,35 @@ def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
 
 
 def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
-    """Yield masses that imitate something that is not in the model: of all links, or of one."""
+    """Yield links that cannot be, and masses that imitate what is not in the model."""
     found = export_parameters(result)
-    # Masses that cannot be are no measure: those that the file means are.
-    links = next(iter(list_corrections(result.model)), result.model).links
     if found is None:
         return
-    masses = found[9 : 10 * len(links) : 10].tolist()
-    total = sum(float(link.inertia.mass) for link in links)
+    links = result.model.links
+    parameters = found[: 10 * len(links)]
+    yield from _list_absurd_links(result.model, parameters)
+    masses = parameters[9::10].tolist()
     built = float(sum(masses))
-    known = all(link.inertia_known for link in result.model.links) and total > 0.0
-    # What the log leaves open stays at CAD, with its unit.
-    exported = result.model.with_parameters(found[: 10 * len(links)])
-    if find_wrong_units(result.model) and (absurd := explain_implausible_links(exported)):
-        text = f"mass and inertia of {join_names(list(absurd))} cannot be of one link"
-        yield Reason("implausible_bodies", text, forbids=True)
-        return
+    # Of masses that cannot be, those that the file may mean are measures as well as those it says.
+    readings = [
+        [float(link.inertia.mass) for link in model.links]
+        for model in (result.model, *list_corrections(result.model))
+    ]
+    nearest = min(readings, key=lambda reading: abs(sum(reading) - built))
+    total = sum(nearest)
+    known = all(link.inertia_known for link in links) and total > 0.0
     # Far from CAD on the whole: single links need not be named.
     if known and not 1.0 / RULES.far <= built / total <= RULES.far:
         text = f"{round_significant(built)} kg for {round_significant(total)} of CAD"
         yield Reason("link_mass_differs", text, forbids=True)
         return
-    off = [
-        (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
-        for link, mass in zip(links, masses, strict=True)
-        if link.has_mass
-        and not 1.0 / RULES.far <= mass / link.inertia.mass <= RULES.far
+    off = []
+    for link, mass, *stated in zip(links, masses, *readings, strict=True):
+        cad = min(stated, key=lambda each: abs(each - mass))
         # A light link may be far from CAD without harm.
-        and abs(mass - link.inertia.mass) > RULES.heavier * total
-    ]
+        is_heavier = abs(mass - cad) > RULES.heavier * total
+        if link.has_mass and not 1.0 / RULES.far <= mass / cad <= RULES.far and is_heavier:
+            off.append((abs(mass - cad), link.name, mass, cad))
     if off:
         _, name, mass, cad = max(off)
         yield Reason(
@@ -319,6 +321,22 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
             f"{name} has {round_significant(mass)} kg for {round_significant(cad)} of CAD",
             forbids=not 1.0 / RULES.material <= mass / cad <= RULES.material,
         )
+
+
+def _list_absurd_links(model: RobotModel, parameters: NDArray[np.float64]) -> Iterator[Reason]:
+    """Yield exported links whose mass and inertia no body has; CAD may have them like that."""
+    absurd = [*explain_implausible_links(model.with_parameters(parameters))]
+    if not absurd:
+        return
+    as_in_cad = absurd == [*explain_implausible_links(model)]
+    is_unit = find_wrong_units(model) is not None
+    says = ", nor are CAD's" if as_in_cad and not is_unit else ""
+    yield Reason(
+        "implausible_bodies",
+        f"mass and inertia of {join_names(absurd, 3)} cannot be of one link{says}",
+        # What the log leaves open stays at CAD, with its unit; one link alone was so before.
+        forbids=is_unit or not as_in_cad,
+    )
 
 
 def _list_simulation_reasons(

@@ -71,7 +71,7 @@ def export_mjcf(model: RobotModel) -> str:
     that several joints turn is a fixed tendon with damping, dry friction and armature; an
     offset is the bias of the joint's actuator, whose control is the torque that the drive has
     to exert. A joint whose drive has gains gets a position actuator with them, its control the
-    commanded position, and the integrator treats its damping implicitly.
+    position to go to, and the integrator treats its damping implicitly.
     MuJoCo's dry friction grows with speed and acceleration up to its full size; where the joint
     moves faster than `|qdd|` times a millisecond, inverse dynamics holds all of it.
 

@@ -158,7 +158,7 @@ def _write_sheet_line(found: TorqueGains) -> str:
 
 
 def _list_stiffnesses(found: TorqueGains) -> list[float | str]:
-    """Return the stiffness of each servo, "auto" if it is undetermined."""
+    """Return each stiffness, "auto" if it is undetermined."""
     return [
         float(f"{gain:.6g}") if determined else "auto"
         for gain, determined in zip(found.gains, found.determined, strict=True)

@@ -198,7 +198,7 @@ def choose_settings(
         chain=options.chain,
         checked=options.checked,
         tolerated=(),
-        estimate_delay=head_of(read[0]).torque_source != "command",
+        estimate_delay=not head_of(read[0]).has_computed_torque,
     )
     choice = settle_drive(model, prepared.training, options.drive)
     if choice.drive.needs_load:

@@ -50,8 +50,7 @@ async function talk(place, sent) {
 /* The text of a written file, empty where there is none; `use` draws it. */
 export async function readFile(place, use) {
   const [reply, text] = await talk(place);
-  use(reply && reply.ok ? text : "");
-  wait(-1);
+  try { use(reply && reply.ok ? text : ""); } finally { wait(-1); }
 }
 
 async function ask(method, place, body) {

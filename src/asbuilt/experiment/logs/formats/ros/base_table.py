@@ -53,10 +53,8 @@ def add_base_states(
     frames: dict[str, str] = {}
     for topic, found in messages.items():
         both = is_stamped(states) and is_stamped(found)
-        rows, (times, first) = (
-            read_times(states, both),
-            np.unique(read_times(found, both), return_index=True),
-        )
+        rows = read_times(states, both)
+        times, first = np.unique(read_times(found, both), return_index=True)
         names = max((each.names for each in found), key=len)
         complete = np.array([found[k].names == names for k in first])
         values = np.array([found[k].position for k in first[complete]])

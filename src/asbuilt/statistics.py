@@ -1,4 +1,4 @@
-"""Confidence intervals of estimates, and means of paired differences."""
+"""Confidence intervals of estimates, errors of means, and the jackknife."""
 
 from __future__ import annotations
 
@@ -49,6 +49,23 @@ def confidence_intervals(
 def estimate_mean_error(values: Array) -> float:
     """Return the standard error of the mean of independent values (n,), n at least 2."""
     return float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def jackknife_covariance(without: Array) -> Array:
+    """Return the covariance (p, p) of an estimate by what it is without each of m blocks, (m, p).
+
+    It is `(m - 1) / m` times the sum of squares about the mean, and allows for correlation within
+    blocks (Miller, Biometrika 61, 1974).
+
+    Of a mean it is the square of the usual standard error:
+
+    >>> x = np.array([1.0, 2.0, 4.0, 9.0])
+    >>> without = np.array([[np.delete(x, k).mean()] for k in range(4)])
+    >>> bool(np.isclose(jackknife_covariance(without)[0, 0], estimate_mean_error(x) ** 2))
+    True
+    """
+    apart = without - without.mean(axis=0)
+    return np.asarray((len(without) - 1) / len(without) * apart.T @ apart)
 
 
 def exceeds(excess: Array, standard_errors: float) -> bool:
