@@ -152,17 +152,16 @@ def _find_crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Crowded:
-    """Hold a torque, times `sign`, that stays long near its `level`, and what a fit leaves of it.
+    """Name a torque, times `sign`, that stays long near its `level`.
 
-    `torque` and `error` (N,) are of all recordings; `left_out` are the samples of each near the
-    level.
+    `logged` are the recordings and what a fit makes of them; `left_out` the samples of each near
+    the level.
     """
 
     joint: int
     sign: float
     level: float
-    torque: Array
-    error: Array
+    logged: Sequence[Prediction]
     left_out: tuple[Mask, ...]
 
     @classmethod
@@ -172,13 +171,24 @@ class _Crowded:
         """Return the torque of a joint as logged and predicted."""
         torque = [sign * prediction.measured[:, joint] for prediction in logged]
         level = float(np.percentile(np.concatenate(torque), PLATEAU_HIGHEST))
-        error = [log.measured[:, joint] - log.predicted[:, joint] for log in logged]
         left_out = tuple(
             # Filtered torques are compared at their own times.
             np.interp(samples.t, log.t, x) >= PLATEAU_LEFT_OUT * level
             for samples, log, x in zip(training, logged, torque, strict=True)
         )
-        return cls(joint, sign, level, np.concatenate(torque), np.concatenate(error), left_out)
+        return cls(joint, sign, level, logged, left_out)
+
+    @property
+    def torque(self) -> Array:
+        """The torque (N,) of all recordings, times the sign."""
+        return self.sign * np.concatenate([log.measured[:, self.joint] for log in self.logged])
+
+    @property
+    def error(self) -> Array:
+        """What the fit leaves of it (N,)."""
+        return np.concatenate(
+            [log.measured[:, self.joint] - log.predicted[:, self.joint] for log in self.logged]
+        )
 
 
 def _find_plateau(

@@ -108,16 +108,16 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
     """
     if held_out.q.shape[1] < FEWEST_JOINTS:
         return 0.0
-    q, qd = _stack_states(fitted)
     joints = held_out.q.shape[1]
-    fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
-    size = np.concatenate([NEAR_POSITION * np.ptp(q, axis=0), NEAR_VELOCITY * fastest])
+    least, greatest = _find_extremes(fitted)
+    fastest = np.maximum(greatest, -least)[joints:]
+    size = np.concatenate([NEAR_POSITION * (greatest - least)[:joints], NEAR_VELOCITY * fastest])
     moving = size > 0.0
     # Too few joints move: other motions pass near by chance.
     if not moving[:joints].sum() >= FEWEST_JOINTS:
         return 0.0
-    before = _thin_states(q, qd)
-    after = _thin_states(*_stack_states([held_out]))
+    before = _thin_states(fitted)
+    after = _thin_states([held_out])
     from scipy.spatial import KDTree  # noqa: PLC0415 - light start
 
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
@@ -137,19 +137,28 @@ def repeats(one: Samples, other: Samples) -> bool:
     return any(share > REPEATED for share in shares)
 
 
-def _stack_states(samples: Sequence[Samples]) -> list[Array]:
-    """Return all positions and velocities (N, n), without a copy if there is one recording."""
-    pairs = zip(
-        *([recording.in_segments(x) for x in (recording.q, recording.qd)] for recording in samples),
-        strict=True,
+def _find_extremes(samples: Sequence[Samples]) -> tuple[Array, Array]:
+    """Return the least and greatest of all positions and velocities, (2 n,) each."""
+    states = [(each, span) for each in samples for span in each.spans()]
+    # Span by span: states of a long recording are many.
+    least, greatest = (
+        np.array([np.append(end(s.q[span], axis=0), end(s.qd[span], axis=0)) for s, span in states])
+        for end in (np.min, np.max)
     )
-    return [parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in pairs]
+    return least.min(axis=0), greatest.max(axis=0)
 
 
-def _thin_states(q: Array, qd: Array) -> Array:
-    """Return states (q, qd), evenly spread."""
-    step = max(1, len(q) // MOST_STATES)
-    return np.hstack([q[::step], qd[::step]])
+def _thin_states(samples: Sequence[Samples]) -> Array:
+    """Return states (q, qd) of all recordings together, evenly spread."""
+    places = [np.concatenate([np.arange(a, b) for a, b in s.segments]) for s in samples]
+    step = max(1, sum(map(len, places)) // MOST_STATES)
+    parts = []
+    passed = 0
+    for each, own in zip(samples, places, strict=True):
+        taken = own[-passed % step :: step]
+        parts.append(np.hstack([each.q[taken], each.qd[taken]]))
+        passed += len(own)
+    return np.concatenate(parts)
 
 
 def check_left_out(
