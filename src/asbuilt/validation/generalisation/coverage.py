@@ -46,18 +46,17 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
     speed = np.array([limit.velocity for limit in limits])
     driven = np.isin(np.arange(model.n_joints), model.driven_joints)
     span[~driven] = speed[~driven] = np.inf
-    low, high = (
-        np.array([edge(samples.in_segments(samples.q), axis=0) for samples in training])
-        for edge in (np.min, np.max)
-    )
-    speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
-    # Percentiles, as single samples are noise.
+    # Percentiles, as single samples are noise; joint by joint, as a recording may be long.
     fast = np.max(
-        [np.percentile(speed_samples, COVERAGE_PERCENTILE, axis=0) for speed_samples in speeds],
+        [
+            [np.percentile(np.abs(one.in_segments(qd)), COVERAGE_PERCENTILE) for qd in one.qd.T]
+            for one in training
+        ],
         axis=0,
     )
     # Over all recordings together: each may cover a part.
-    covered = _measure_range_share(high.max(axis=0) - low.min(axis=0), span)
+    least, greatest = _find_extremes(training)
+    covered = _measure_range_share((greatest - least)[: model.n_joints], span)
     reached = _measure_range_share(fast, speed)
     narrow = np.flatnonzero(covered < COVERAGE_POSITION)
     if narrow.size:
