@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -160,7 +161,7 @@ def predict_both(
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=samples.filtered(predict_friction_torque(model, base, estimates, samples)),
+        drive=samples.filtered_spans(_predict_friction(model, base, estimates, samples)),
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
@@ -174,10 +175,11 @@ def _predict_under_gravity(
     turned = described.gravity - model.gravity
     if not turned.any():
         return predict_torque(model, base, design, samples)
-    torque = np.zeros(samples.q.shape)
     turning = described.with_gravity(turned)
-    for span, _, part in predict_in_spans(model, base, design, samples):
-        torque[span] = part + gravity_torque(turning, samples.q[span])
+    torque = (
+        part + gravity_torque(turning, samples.q[span])
+        for span, _, part in predict_in_spans(model, base, design, samples)
+    )
     return pair_with_measured(model, samples, torque)
 
 
@@ -199,13 +201,14 @@ def _predict_described(model: RobotModel, samples: Samples) -> Prediction:
             f" {model.name} has {', '.join(model.joint_names)}"
         )
     drive, values = described_drive(model)
-    torque = np.zeros(samples.q.shape)
     shares = model.motor_shares
-    for span in samples.spans():
+
+    def predict(span: slice) -> Array:
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         load = inverse_dynamics(model, *state)
-        torque[span] = load + drive_torque(drive, values, *state, load=load, shares=shares)
-    return pair_with_measured(model, samples, torque)
+        return load + drive_torque(drive, values, *state, load=load, shares=shares)
+
+    return pair_with_measured(model, samples, map(predict, samples.spans()))
 
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:
@@ -265,6 +268,17 @@ def predict_friction_torque(
 
     A parameter that is regrouped with others counts as zero.
     """
+    torque = np.zeros(samples.q.shape)
+    parts = _predict_friction(model, base, estimates, samples)
+    for span, part in zip(samples.spans(), parts, strict=True):
+        torque[span] = part
+    return torque
+
+
+def _predict_friction(
+    model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples
+) -> Iterator[Array]:
+    """Yield the torque of `predict_friction_torque` on each of the samples' spans, (L, n)."""
     springs = [term.key for term in base.drive.terms if term.by_position]
     friction = base.drive.without("armature", "motor_armature", *springs)
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
@@ -272,13 +286,11 @@ def predict_friction_torque(
     values = [
         identified.get(name, 0.0) for k in range(model.n_joints) for name in friction.names(k + 1)
     ]
-    torque = np.zeros(samples.q.shape)
     shares = model.motor_shares
     for span, rigid, _ in predict_in_spans(model, base, estimates, samples):
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         load = rigid if friction.needs_load else None
-        torque[span] = drive_torque(friction, values, *state, load=load, shares=shares)
-    return torque
+        yield drive_torque(friction, values, *state, load=load, shares=shares)
 
 
 NO_BETTER = "F"

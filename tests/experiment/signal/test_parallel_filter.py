@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal import samples as samples_module
 from asbuilt.experiment.signal.parallel_filter import ParallelFilter, design_parallel_filter
+from asbuilt.experiment.signal.samples import Samples
 
 
 def response(f, frequency):
@@ -79,3 +81,26 @@ def test_what_would_alias_is_refused_with_a_cure():
         design_parallel_filter(40.0, 100.0)
     with pytest.raises(UsageError, match="odd number of symmetric taps"):
         ParallelFilter(np.array([1.0, 0.0]), 1, 1.0, 10.0)
+
+
+@pytest.mark.parametrize("at_once", [7, 40, 1000])
+def test_samples_are_filtered_alike_however_many_at_once(at_once, monkeypatch):
+    monkeypatch.setattr(samples_module, "AT_ONCE", at_once)
+    rng = np.random.default_rng(4)
+    f = design_parallel_filter(6.0, 100.0, 3)
+    t = np.arange(400) / 100.0
+    x = rng.normal(size=(400, 2))
+    # One segment is shorter than the filter, and has no outputs.
+    segments = ((0, 150), (150, 160), (170, 400))
+    samples = Samples(
+        t, x, x, x, x, rate=100.0, joint_names=("a", "b"), segments=segments, parallel=f
+    )
+    expected = [
+        np.convolve(x[a:b, k], f.taps, mode="valid")[::3]
+        for k in range(2)
+        for a, b in segments
+        if b - a >= f.taps.size
+    ]
+    found = samples.filtered(x)
+    assert len(found) == samples.n_filtered
+    np.testing.assert_allclose(found.T.ravel(), np.concatenate(expected), atol=1e-12)

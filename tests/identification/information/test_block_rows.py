@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.identification import MODEL, TimeBlock
-from asbuilt.identification.information.equations import BlockRows
+from asbuilt.identification.information.equations import BlockRows, Products
 
 SUPPORT = (np.array([0, 1, 2, 5, 9]), np.array([1, 2, 3, 4, 6, 7, 9]), np.array([2, 8]))
 COLUMNS = 10
@@ -50,13 +50,26 @@ def test_squares_are_those_of_all_rows(rows: BlockRows) -> None:
     )
 
 
-def test_blocks_are_taken_away(rows: BlockRows) -> None:
+def test_products_of_some_blocks(rows: BlockRows) -> None:
     every = np.arange(COLUMNS + 1)
-    part = rows.squares(WEIGHTS, np.array([0, 2]))
-    rest = dense(rows, [1, 3])
-    assert rows.squares(WEIGHTS).less(part).at(every, every) == pytest.approx(
-        rest.T @ rest, abs=1e-12
-    )
+    part = dense(rows, [0, 2])
+    found = rows.inner(WEIGHTS, every, every, np.array([0, 2]))
+    assert found == pytest.approx(part.T @ part, abs=1e-12)
+    some = np.array([1, 5, 6, 9, 10])
+    products = Products(some, found[np.ix_(some, some)])
+    left = np.array([9, 1])
+    right = np.array([10, 6, 5])
+    assert products.at(left, right) == pytest.approx(found[np.ix_(left, right)], abs=1e-12)
+
+
+def test_rows_of_some_columns_have_the_same_products(rows: BlockRows) -> None:
+    some = np.array([0, 2, 6, 9])
+    kept = rows.among(some)
+    # The torque stays.
+    asked = np.append(some, COLUMNS)
+    expected = rows.inner(WEIGHTS, asked, asked)
+    assert kept.inner(WEIGHTS, asked, asked) == pytest.approx(expected, abs=1e-12)
+    assert sum(own.nbytes for own in kept.rows) < sum(own.nbytes for own in rows.rows)
 
 
 def test_the_torque_of_some_columns(rows: BlockRows) -> None:

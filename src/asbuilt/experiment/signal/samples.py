@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, cast
@@ -207,18 +207,30 @@ class Samples:
         """Apply the parallel filter to x (N, ...), segment by segment, giving (n_filtered, ...)."""
         if self.parallel is None:
             return self.in_segments(x)
-        # Windows of neighbouring chunks overlap by the width of the filter.
+        return self.filtered_spans(x[span] for span in self.spans())
+
+    def filtered_spans(self, values: Iterable[Array]) -> Array:
+        """Return filtered values (n_filtered, ...) of those on each of `spans`, (L, ...) in order.
+
+        What is evaluated span by span takes no memory for all samples.
+        """
+        if self.parallel is None:
+            return np.concatenate(list(values))
         step = self.parallel.decimation
         width = self.parallel.taps.size
-        at_once = max(1, AT_ONCE // step)
+        every = iter(values)
         parts = []
-        for a, b in self.segments:
-            count = self._n_outputs(b - a)
-            # Segments that are too short still contribute an array of no rows.
-            for first in range(0, max(count, 1), at_once):
-                last = min(first + at_once, count)
-                span = slice(a + first * step, min(a + (last - 1) * step + width, b))
-                parts.append(self.parallel.apply(x[span], axis=0))
+        for segment in self.segments:
+            held = None
+            for _ in _divide_span(*segment):
+                new = next(every)
+                held = new if held is None else np.concatenate([held, new])
+                count = self._n_outputs(len(held))
+                # Segments that are too short still contribute an array of no rows.
+                seen = held[: max(count - 1, 0) * step + width]
+                parts.append(self.parallel.apply(seen, axis=0))
+                # The window of the next output begins here.
+                held = held[count * step :]
         return np.concatenate(parts)
 
     def in_segments(self, x: Array) -> Array:
@@ -231,9 +243,8 @@ class Samples:
 
     def spans(self) -> Iterator[slice]:
         """Yield spans of contiguous samples that together are all of segments, some at a time."""
-        for a, b in self.segments:
-            for first in range(a, b, AT_ONCE):
-                yield slice(first, min(first + AT_ONCE, b))
+        for segment in self.segments:
+            yield from _divide_span(*segment)
 
     def within(self, keep: NDArray[np.bool_]) -> Samples:
         """Return the same arrays with those parts of segments where `keep` (N,) is true."""
@@ -290,6 +301,12 @@ class Samples:
 
     def _n_outputs(self, n_inputs: int) -> int:
         return self.parallel.n_outputs(n_inputs) if self.parallel else n_inputs
+
+
+def _divide_span(start: int, stop: int) -> Iterator[slice]:
+    """Yield spans of at most `AT_ONCE` samples."""
+    for first in range(start, stop, AT_ONCE):
+        yield slice(first, min(first + AT_ONCE, stop))
 
 
 def _freeze(value: ArrayLike) -> Array:

@@ -156,11 +156,12 @@ class FeasibleRegion:
 
         They do if it is a combination `w^T R K` of what they determine; its error then is `|w|`.
         """
-        seen = self._seen.T
         scaled = self._scales * value
         # value @ chi = w^T (R K chi): solved in units of the bodies.
-        w, *_ = np.linalg.lstsq(seen, scaled, rcond=1e-10)
-        if np.linalg.norm(seen @ w - scaled) > ROUNDING * np.linalg.norm(scaled):
+        own, size, of_bodies = self._seen_axes
+        along = of_bodies @ scaled
+        w = own @ (along / size)
+        if np.linalg.norm(along @ of_bodies - scaled) > ROUNDING * np.linalg.norm(scaled):
             return None
         return float(w @ self.root @ self.beta), float(np.linalg.norm(w))
 
@@ -219,9 +220,13 @@ class FeasibleRegion:
         return np.asarray(every[:, len(self.root) :] / scale[:, None])
 
     @cached_property
-    def _seen(self) -> Array:
-        """What changes of the standard parameters, in units of their scales, do (r, n_standard)."""
-        return self.root @ self.base.regrouping * self._scales
+    def _seen_axes(self) -> tuple[Array, Array, Array]:
+        """Singular vectors and values of R K (r, n_standard) in units of the parameters' scales."""
+        own, size, of_bodies = np.linalg.svd(
+            self.root @ self.base.regrouping * self._scales, full_matrices=False
+        )
+        seen = size > 1e-10 * size.max(initial=0.0)
+        return own[:, seen], size[seen], of_bodies[seen]
 
     def _measure_size(self, value: Array) -> float:
         return float(np.linalg.norm(self._scales * value))

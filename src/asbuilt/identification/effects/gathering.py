@@ -24,6 +24,8 @@ from asbuilt.identification.information.rows import (
 )
 from asbuilt.identification.information.triangular import shorten_columns, stack_blocks
 
+MOST_EVALUATED = 100e6
+"""Memory [bytes] of the columns of effects that are evaluated at once."""
 EFFECT_COLUMNS = "effects"
 """Group of the columns of all candidates."""
 At = tuple[str, int | None]
@@ -99,20 +101,22 @@ def gather_rows(
     support = [np.concatenate(both) for both in zip(plan.support, slots, strict=True)]
     # Slots of each joint, and the torque: one spare row more, after all columns of effects.
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
-    found: list[list[Array]] = []
+    found: list[list[Array]] = [[] for _ in there]
     times: list[TimeBlock] = []
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
         for part in divide_into_blocks(robot.model, samples, block_seconds, kept):
             rows = part.rows(plan, partial(columns, part))
             # Slots that a joint does not have hold zeros, and go before the blocks are kept.
-            own = (rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True))
-            found.append([shorten_columns(each) for each in own])
+            for of_joint, own, kept_slots in zip(found, rows, there, strict=True):
+                of_joint.append(shorten_columns(own[kept_slots]))
             times.append(part.time)
+    # Blocks of a joint go once they are stacked: all of both would take twice the memory.
+    stacked = [stack_blocks(found.pop(0)) for _ in there]
     gathered = BlockRows(
         {MODEL: base.n_base, EFFECT_COLUMNS: size - base.n_base},
         tuple(s[s >= 0] for s in support),
-        tuple(map(stack_blocks, zip(*found, strict=True))),
+        tuple(stacked),
         tuple(times),
     )
     return gathered, tuple(candidates)
@@ -177,7 +181,9 @@ class _Columns:
         samples = self._samples = part.samples
         self._start = span.start
         # Blocks are short: a call for more samples than one block needs saves calls.
-        self._stop = max(span.stop, min(span.start + 2 * ROWS.samples_at_once, part.stop))
+        size = 8.0 * samples.n_joints * sum(variant.n_columns for variant in self._variants)
+        most = min(2 * ROWS.samples_at_once, int(MOST_EVALUATED / max(size, 1.0)))
+        self._stop = max(span.stop, min(span.start + most, part.stop))
         held = slice(self._start, self._stop)
         # A recording of one sample has no length.
         length = max(float(samples.t[-1] - samples.t[0]), 1e-9)

@@ -152,17 +152,16 @@ def _find_crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Crowded:
-    """Hold a torque, times `sign`, that stays long near its `level`, and what a fit leaves of it.
+    """Name a torque, times `sign`, that stays long near its `level`.
 
-    `torque` and `error` (N,) are of all recordings; `left_out` are the samples of each near the
-    level.
+    `logged` are the recordings and what a fit makes of them; `left_out` the samples of each near
+    the level.
     """
 
     joint: int
     sign: float
     level: float
-    torque: Array
-    error: Array
+    logged: Sequence[Prediction]
     left_out: tuple[Mask, ...]
 
     @classmethod
@@ -172,14 +171,24 @@ class _Crowded:
         """Return the torque of a joint as logged and predicted."""
         torque = [sign * prediction.measured[:, joint] for prediction in logged]
         level = float(np.percentile(np.concatenate(torque), PLATEAU_HIGHEST))
-        error = [prediction.measured - prediction.predicted for prediction in logged]
         left_out = tuple(
             # Filtered torques are compared at their own times.
             np.interp(samples.t, log.t, x) >= PLATEAU_LEFT_OUT * level
             for samples, log, x in zip(training, logged, torque, strict=True)
         )
-        whole = np.concatenate([each[:, joint] for each in error])
-        return cls(joint, sign, level, np.concatenate(torque), whole, left_out)
+        return cls(joint, sign, level, logged, left_out)
+
+    @property
+    def torque(self) -> Array:
+        """The torque (N,) of all recordings, times the sign."""
+        return self.sign * np.concatenate([log.measured[:, self.joint] for log in self.logged])
+
+    @property
+    def error(self) -> Array:
+        """What the fit leaves of it (N,)."""
+        return np.concatenate(
+            [log.measured[:, self.joint] - log.predicted[:, self.joint] for log in self.logged]
+        )
 
 
 def _find_plateau(
@@ -200,7 +209,8 @@ def _find_plateau(
             values = fits.fit_without(crowded.left_out) if known is None else known
         except (AsbuiltError, np.linalg.LinAlgError):
             return None
-        predicted = [predict_torque(model, base, values, samples) for samples in training]
+        # Of each recording one column is kept, as a long one takes much memory.
+        predicted = (predict_torque(model, base, values, samples) for samples in training)
         implied = crowded.sign * np.concatenate([each.predicted[:, joint] for each in predicted])
         if not _saturates(crowded, implied):
             return None
@@ -257,20 +267,11 @@ class _Fits:
         """
         weights = self.whole.weights
         whole = self._whole.summed(weights)
-        at_once = max(1, int(MOST_HELD // whole.nbytes))
+        size = sum(gram.nbytes for gram in self._whole.joint_grams)
+        at_once = max(1, int(MOST_HELD // size))
         for first in range(0, len(left_out), at_once):
-            choices = left_out[first : first + at_once]
-            totals = [whole.copy() for _ in choices]
-            for number, gone in self._walk(choices):
-                # All joints' rows in all columns: one product instead of one a joint.
-                every = np.zeros((whole.shape[0], len(gone) * gone[0].shape[1]))
-                spans = np.split(every, len(gone), axis=1)
-                joints = zip(self._rows.support, gone, weights, spans, strict=True)
-                for support, rows, weight, span in joints:
-                    span[np.append(support, -1)] = weight * rows
-                np.subtract(totals[number], every @ every.T, out=totals[number])
-            for total in totals:
-                found = solve_squares(total)
+            for gone in self._gather(left_out[first : first + at_once]):
+                found = solve_squares(whole - self._whole.sum_grams(gone, weights))
                 yield None if found is None else found[0]
 
     def fit_without(self, left_out: Sequence[Mask]) -> Array:
@@ -278,28 +279,38 @@ class _Fits:
 
         They are as exact as normal equations, half the digits, enough for a comparison.
         """
-        grams = [gram.copy() for gram in self._whole.joint_grams]
-        n_samples = self._whole.n_samples
-        for _, gone in self._walk([left_out]):
-            n_samples -= gone[0].shape[1]
-            for gram, rows in zip(grams, gone, strict=True):
-                np.subtract(gram, rows @ rows.T, out=gram)
-        factors = tuple(_take_root(gram)[None] for gram in grams)
+        (gone,) = self._gather([left_out])
+        every = zip(self._whole.joint_grams, gone, strict=True)
+        factors = tuple(_take_root(gram - own)[None] for gram, own in every)
+        n_samples = self._whole.n_samples - int(np.sum(self._mark(left_out)))
         time = replace(self._whole.blocks[0], n_samples=n_samples)
         rest = replace(self._whole, factors=factors, blocks=(time,))
         return fit_least_squares(rest, weights="joint", prior=self._design).beta
 
-    def _walk(self, left_out: Sequence[Sequence[Mask]]) -> Iterator[tuple[int, tuple[Array, ...]]]:
-        """Yield the number of a choice and the rows of each joint that go with it, by block."""
+    def _gather(self, left_out: Sequence[Sequence[Mask]]) -> list[list[Array]]:
+        """Return the normal equations of each joint that go with each choice, after one walk."""
+        marks = [self._mark(choice) for choice in left_out]
+        found = [[np.zeros_like(gram) for gram in self._whole.joint_grams] for _ in left_out]
+        start = 0
+        # Rows that are kept are one part: a product of few rows takes longer to begin than to do.
+        for part in self._rows.parts() if self._rows.are_kept else self._rows.by_block():
+            stop = start + part[0].shape[1]
+            for grams, mark in zip(found, marks, strict=True):
+                gone = np.flatnonzero(mark[start:stop])
+                if not gone.size:
+                    continue
+                for gram, rows in zip(grams, part, strict=True):
+                    own = rows[:, gone]
+                    np.add(gram, own @ own.T, out=gram)
+            start = stop
+        return found
+
+    def _mark(self, left_out: Sequence[Mask]) -> Mask:
+        """Return which filtered samples take any part in what is left out, of all blocks."""
         # Recordings by identity: blocks of one share its samples.
         places = {id(samples): place for place, samples in enumerate(self._samples())}
-        for part, block in zip(self._blocks, self._rows, strict=True):
-            place = places[id(part.samples)]
-            for number, choice in enumerate(left_out):
-                # Rows that take any part in what is left out go.
-                gone = part.touches(choice[place])
-                if gone.any():
-                    yield number, tuple(rows[:, gone] for rows in block.rows)
+        parts = (part.touches(left_out[places[id(part.samples)]]) for part in self._blocks)
+        return np.concatenate(list(parts))
 
     def _samples(self) -> list[Samples]:
         """Return the recordings, in order."""

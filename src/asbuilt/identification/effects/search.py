@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -31,7 +32,6 @@ from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.held_out_choice import group_different_motions
 from asbuilt.identification.estimators.least_squares import (
     ROUGH_WEIGHTS,
-    WEIGHT_CONVERGENCE,
     joint_noise,
 )
 from asbuilt.identification.information.rows import KeptRows
@@ -320,8 +320,9 @@ class _Search:
         def reduced(samples: Sequence[Samples]) -> SquareRootInformation:
             return accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
 
-        def left(seen: SquareRootInformation, settled: float = WEIGHT_CONVERGENCE) -> float:
-            noise = joint_noise(seen, np.zeros(base.n_base), settled)
+        noise = partial(joint_noise, prior=np.zeros(base.n_base))
+
+        def left(noise: Array) -> float:
             # The logarithm, so that joints of small torques count as much as others.
             return float(np.mean(np.log(noise[np.isfinite(noise)])))
 
@@ -334,13 +335,14 @@ class _Search:
         ]
         if not starts:
             return None
-        plain = left(reduced(few))
+        near = noise(reduced(few))
+        plain = left(near)
         tried = []
         for each, start in starts:
             seen = reduced(each.without(self.model, few, None, np.array([start]))[1])
             # Most factors make the log much worse: that shows before the weights have converged.
-            if left(seen, ROUGH_WEIGHTS) < plain + SEARCH_HOPELESS:
-                tried.append((left(seen), each.key, start))
+            if left(noise(seen, settled=ROUGH_WEIGHTS, near=near)) < plain + SEARCH_HOPELESS:
+                tried.append((left(noise(seen)), each.key, start))
         residual, key, start = min(tried, default=(plain, "", 0.0))
         return None if plain - residual < SEARCH_FAR_OFF else (key, start)
 

@@ -209,7 +209,7 @@ class Selection(Trials):
         A, P = self._build_normal(self._total, inside)
         # tr((A + P)^-1 P) counts the parameters that the prior rather than the data determines.
         free = float(np.trace(np.linalg.solve(A, P)[np.ix_(links, links)]))
-        distance = self._measure_distance(self._fit(self._total, inside).residual)
+        distance = float(self._measure_distance(self._fit(inside).start))
         return distance / self.prior.effect > len(links) - free
 
     def holds(self, candidate: Candidate) -> bool:
@@ -340,10 +340,14 @@ class Lacking:
             for candidate, (_, covariance, _) in zip(doubted, of_doubted, strict=True)
             if _is_wide(candidate, covariance)
         ]
+        names = _list_names(selection)
+        columns = np.concatenate([candidate.places for candidate in (*candidates, *doubted)])
+        named_columns = np.flatnonzero([bool(name) for name in names])
         return cls(
-            selection.rows,
-            _list_names(selection),
-            np.concatenate([candidate.places for candidate in (*candidates, *doubted)]),
+            # Of all effects that were tried few are asked again: all take most of the memory.
+            selection.rows.among(np.union1d(named_columns, columns)),
+            names,
+            columns,
             np.concatenate([values for values, _, _ in parts]),
             block_diag(*(covariance for _, covariance, _ in parts)),
             np.concatenate([sizes for _, _, sizes in parts]),

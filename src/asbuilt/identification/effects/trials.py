@@ -24,7 +24,7 @@ from scipy.special import chdtrc, fdtrc
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate
-from asbuilt.identification.information.equations import MODEL, BlockRows, Squares
+from asbuilt.identification.information.equations import MODEL, BlockRows, Products, Squares
 from asbuilt.statistics import estimate_mean_error
 
 
@@ -155,49 +155,81 @@ class Trial:
 class _Fit:
     """Hold a fit without some columns (c,): parameters, and how a unit of each column moves them.
 
-    `residual` (P + 1,) are the coefficients of the residual: minus the values, and one for the
-    torque. A unit of a column changes it by `moves` (i, c) at the places `inside` (i,), and by
-    minus one at the column itself. `across` (c, i) are products of the columns with those inside,
-    `score` (c,) with the residual.
+    The parameters `inside` (i,) have `values` (i,), from which a unit of a column takes `moves`
+    (i, c). `across` (c, i) are products of the columns with those inside, `torque` (c,) with the
+    torque. `inverse` (i, r) are columns of the inverse normal matrix, of parameters that something
+    `replaces` (r,).
     """
 
-    squares: Squares
-    residual: Array
+    squares: Squares | Products
+    n_columns: int
     inside: Indices
     columns: Indices
+    replaces: Indices
+    values: Array
     moves: Array
     across: Array
-    score: Array
+    torque: Array
+    inverse: Array
 
-    def schur(self, c: Indices) -> Array:
-        """Return the Schur complement of some of the columns given the parameters inside."""
-        places = self.columns[c]
-        return self.squares.at(places, places) - self.across[c] @ self.moves[:, c]
+    def beside(self, candidate: Candidate) -> _Fit:
+        """Return the fit without what a candidate replaces, and its columns alone."""
+        c = np.searchsorted(self.columns, candidate.places)
+        moves = self.moves[:, c]
+        values = self.values
+        r = np.flatnonzero(np.isin(self.replaces, candidate.replaces))
+        if r.size:
+            # What holds parameters at zero moves the others by columns of the inverse.
+            gone = np.isin(self.inside, self.replaces[r])
+            inverse = self.inverse[:, r]
+            both = np.column_stack([moves, values])
+            both -= inverse @ np.linalg.solve(inverse[gone], both[gone])
+            both[gone] = 0.0
+            moves = both[:, :-1]
+            values = both[:, -1]
+        return replace(
+            self,
+            columns=candidate.places,
+            replaces=NONE,
+            values=values,
+            moves=moves,
+            across=self.across[c],
+            torque=self.torque[c],
+            inverse=self.inverse[:, :0],
+        )
 
-    def moved(self, c: Indices, d: Array, n: int) -> Array:
-        """Return the first n coefficients of the residual when columns beyond n have values d."""
-        found = self.residual[:n].copy()
-        model = self.inside < n
-        found[self.inside[model]] += self.moves[model][:, c] @ d
+    @property
+    def schur(self) -> Array:
+        """The Schur complement (c, c) of the columns given the parameters inside."""
+        return self.squares.at(self.columns, self.columns) - self.across @ self.moves
+
+    @property
+    def score(self) -> Array:
+        """Products (c,) of the columns with the residual."""
+        return self.torque - self.across @ self.values
+
+    def residual(self, d: Array) -> Array:
+        """Return the coefficients (P + 1,) of the residual when the columns have values d.
+
+        They are minus all values, and one for the torque.
+        """
+        found = np.zeros(self.n_columns)
+        found[self.inside] = self.moves @ d - self.values
+        found[self.columns] = -d
+        found[-1] = 1.0
         return found
 
+    @property
+    def start(self) -> Array:
+        """The coefficients (P + 1,) of the residual without the columns."""
+        return self.residual(np.zeros(len(self.columns)))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Errors:
-    """Hold residuals of rows (B, n, m) of some blocks, and their change (B, n, m, c) by columns."""
-
-    residual: Array
-    moves: Array
-
-    def squares(self, c: Indices, d: Array) -> Array:
-        """Return the squared error (n,) of each joint when the columns c have the values d."""
-        error = self.residual + self.moves[..., c] @ d
-        return np.asarray(np.einsum("bnm,bnm->n", error, error))
-
-    def scores(self, c: Indices, d: Array) -> Array:
-        """Return the scores (B, c) of each block's columns with these values."""
-        own = self.moves[..., c]
-        return np.asarray(-np.einsum("bnmc,bnm->bc", own, self.residual + own @ d))
+    def changes(self) -> Array:
+        """Return the change (c, P + 1) of these coefficients by a unit of each column."""
+        found = np.zeros((len(self.columns), self.n_columns))
+        found[:, self.inside] = self.moves.T
+        found[np.arange(len(self.columns)), self.columns] = -1.0
+        return found
 
 
 class Trials:
@@ -234,28 +266,15 @@ class Trials:
         tiny = np.finfo(np.float64).tiny
         least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
         self._rms = np.maximum(rms, least)
-        self._factored: dict[tuple[int, bytes], tuple[Array, Array]] = {}
+        self._factored: dict[bytes, tuple[Array, Array]] = {}
         self.taken: list[Candidate] = []
 
     # What only trials ask is derived by the first one: a search settles values without any.
 
     @cached_property
-    def _without(self) -> list[Squares]:
-        """The training equations of each group: the total less the group's, without a pass."""
-        squares = self.rows.squares
-        return [self._total.less(squares(self.weights, group)) for group in self._groups]
-
-    @cached_property
     def _torque(self) -> Array:
         """Squared torque of each held-out group and joint."""
         return np.array([_sum_torques(self.rows, group) for group in self._groups])
-
-    @cached_property
-    def _halves(self) -> tuple[Squares, Squares]:
-        """Squares of either half of the blocks."""
-        first = np.array_split(np.arange(self.rows.n_blocks), 2)[0]
-        half = self.rows.squares(self.weights, first)
-        return half, self._total.less(half)
 
     @cached_property
     def _apart(self) -> Array:
@@ -310,7 +329,7 @@ class Trials:
 
     def values(self) -> Array:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
-        return -self._fit(self._total, self._list_inside(self.taken)).residual[:-1]
+        return -self._fit(self._list_inside(self.taken)).start[:-1]
 
     def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return values of candidates next to all others taken, and their covariance.
@@ -321,13 +340,11 @@ class Trials:
             other for other in self.taken if all(other is not candidate for candidate in candidates)
         ]
         places = np.concatenate([candidate.places for candidate in candidates])
-        whole = self._fit(self._total, self._list_inside(others), places)
-        every = np.arange(len(places))
-        schur = whole.schur(every)
-        d = np.asarray(np.linalg.solve(schur, whole.score))
+        fit = self._fit(self._list_inside(others), places)
+        d = np.asarray(np.linalg.solve(fit.schur, fit.score))
         # Scores of a block are its columns times its residual; they sum to zero at the fit.
-        left = self._errors(whole, self.weights).scores(every, d)
-        return d, _estimate_scatter(schur, left, d)[0]
+        (left,) = self._score_blocks([fit], fit.residual(d)[None])
+        return d, _estimate_scatter(fit.schur, left, d)[0]
 
     def values_by_data(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return what `values_of` does, of a fit that does not know CAD."""
@@ -348,11 +365,11 @@ class Trials:
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
         x = self.values_of([candidate])[0]
+        halves = np.array_split(np.arange(self.rows.n_blocks), 2)
         found = []
-        for half in self._halves:
-            fit = self._fit(half, inside, candidate.places)
-            schur = fit.schur(np.arange(len(x)))
-            found.append(float(2.0 * fit.score @ x - x @ schur @ x))
+        for other in reversed(halves):
+            fit = self._fit_without(other, inside, candidate.places)
+            found.append(float(2.0 * fit.score @ x - x @ fit.schur @ x))
         return found
 
     def smallest_seen(self, candidate: Candidate) -> float:
@@ -363,14 +380,14 @@ class Trials:
         # Bodies take the place of a column that lies within the model's: no size would show.
         if not self._is_shown(acting):
             return np.inf
-        fit = self._fit(self._total, self._list_inside(self.taken), acting.places)
+        fit = self._fit(self._list_inside(self.taken), acting.places)
         n = int(np.sum(self.weights > 0.0))
         # A fall of `named` in the mean of n logarithms is n times that at the one joint it acts at.
-        of_joint = self._measure_error(fit.residual) / n
+        of_joint = float(self._measure_error(fit.start)) / n
         felt = of_joint * np.expm1(n * RULES.named)
         # A value x lowers the cost by S x^2, S the Schur complement: what of the two needs more.
-        schur = fit.schur(np.arange(1))[0, 0]
-        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / schur))
+        least = max(2.0 * self.prior.effect * RULES.imitated, felt)
+        return float(np.sqrt(least / fit.schur[0, 0]))
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
@@ -390,16 +407,26 @@ class Trials:
 
         Those that do not lower the cost surely have no trial.
         """
-        groups: dict[tuple[int, ...], list[Candidate]] = {}
-        for candidate in candidates:
-            # Candidates that replace the same parameters share factors and held-out fits.
-            groups.setdefault(tuple(candidate.replaces.tolist()), []).append(candidate)
         # Parameters inside change with every effect taken: older factors are of no use.
         self._factored.clear()
-        before = self._list_inside(self.taken)
-        x = self._fit(self._total, before).residual
-        start = self._leave_out(before), self._measure_error(x), self._measure_distance(x)
-        return [trial for alike in groups.values() for trial in self._try_candidates(alike, start)]
+        gaining = self._find_gaining(candidates)
+        if not gaining:
+            return []
+        asked = [candidate for candidate, _ in gaining]
+        whole = self._fit(*self._list_asked(asked))
+        fits = [whole.beside(candidate) for candidate in asked]
+        values = [np.asarray(np.linalg.solve(fit.schur, fit.score)) for fit in fits]
+        residuals = np.array([fit.residual(d) for fit, d in zip(fits, values, strict=True)])
+        scores = self._score_blocks(fits, residuals)
+        nearer = self._measure_distance(whole.start) - self._measure_distance(residuals)
+        # Half squares of independent standard errors, the unit of the gain.
+        nearer /= 2.0 * self.prior.effect
+        reliefs = self._measure_reliefs(asked)
+        concluded = map(self._conclude, asked, [gain for _, gain in gaining], fits, values, scores)
+        return [
+            replace(trial, relief=relief, nearer=near)
+            for trial, relief, near in zip(concluded, reliefs, nearer.tolist(), strict=True)
+        ]
 
     def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
         left = np.setdiff1d(
@@ -408,29 +435,60 @@ class Trials:
         )
         return np.concatenate([left, *(candidate.places for candidate in taken)]).astype(np.int64)
 
-    def _fit(self, squares: Squares, inside: Indices, columns: Indices = NONE) -> _Fit:
-        """Fit the parameters inside to the normal equations of all blocks, or without a group."""
-        torque = np.array([self.rows.n_columns])
-        key = (id(squares), inside.tobytes())
-        # The right side is W^T tau + P beta_0.
+    def _fit(self, inside: Indices, columns: Indices = NONE, replaces: Indices = NONE) -> _Fit:
+        """Fit the parameters inside to all blocks."""
+        key = inside.tobytes()
         if key not in self._factored:
-            root, failed = lapack.dpotrf(self._build_normal(squares, inside)[0], overwrite_a=True)
-            if failed:
-                raise np.linalg.LinAlgError("normal equations of effects are singular")
-            b = squares.at(inside, torque)[:, 0]
-            model = inside < self.n_base
-            b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
-            self._factored[key] = root, lapack.dpotrs(root, b)[0]
-        root, solution = self._factored[key]
-        residual = np.zeros(self.rows.n_columns + 1)
-        residual[inside] = -solution
-        residual[-1] = 1.0
-        across = squares.at(columns, inside)
-        score = squares.at(columns, torque)[:, 0] + across @ residual[inside]
-        moves = lapack.dpotrs(root, across.T)[0] if len(columns) else across.T
-        return _Fit(squares, residual, inside, columns, moves, across, score)
+            self._factored[key] = self._factor(self._total, inside)
+        return self._ask(self._total, inside, columns, replaces, self._factored[key])
 
-    def _build_normal(self, squares: Squares, inside: Indices) -> tuple[Array, Array]:
+    def _fit_without(
+        self, blocks: Indices, inside: Indices, columns: Indices = NONE, replaces: Indices = NONE
+    ) -> _Fit:
+        """Fit the parameters inside to all blocks but some: their products less those of these."""
+        every = np.union1d(np.append(inside, self.rows.n_columns), columns)
+        own = self.rows.inner(self.weights, every, every, blocks)
+        rest = Products(every, self._total.at(every, every) - own)
+        return self._ask(rest, inside, columns, replaces, self._factor(rest, inside))
+
+    def _factor(self, squares: Squares | Products, inside: Indices) -> tuple[Array, Array]:
+        """Return the factor of the normal equations of the parameters inside, and their values."""
+        root, failed = lapack.dpotrf(self._build_normal(squares, inside)[0], overwrite_a=True)
+        if failed:
+            raise np.linalg.LinAlgError("normal equations of effects are singular")
+        # The right side is W^T tau + P beta_0.
+        b = squares.at(inside, np.array([self.rows.n_columns]))[:, 0]
+        model = inside < self.n_base
+        b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
+        return root, lapack.dpotrs(root, b)[0]
+
+    def _ask(
+        self,
+        squares: Squares | Products,
+        inside: Indices,
+        columns: Indices,
+        replaces: Indices,
+        factored: tuple[Array, Array],
+    ) -> _Fit:
+        """Return a fit with what columns would change."""
+        root, values = factored
+        across = squares.at(columns, inside)
+        right = np.hstack([across.T, np.equal.outer(inside, replaces)])
+        moves, inverse = np.hsplit(
+            lapack.dpotrs(root, right)[0] if right.size else right, [len(columns)]
+        )
+        torque = squares.at(columns, np.array([self.rows.n_columns]))[:, 0]
+        n = self.rows.n_columns + 1
+        return _Fit(squares, n, inside, columns, replaces, values, moves, across, torque, inverse)
+
+    def _list_asked(self, candidates: Sequence[Candidate]) -> tuple[Indices, Indices, Indices]:
+        """Return parameters inside, and all columns that candidates have and replace."""
+        inside = self._list_inside(self.taken)
+        columns = np.unique(np.concatenate([candidate.places for candidate in candidates]))
+        replaced = np.concatenate([candidate.replaces for candidate in candidates])
+        return inside, columns, np.intersect1d(replaced, inside)
+
+    def _build_normal(self, squares: Squares | Products, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
         A = squares.at(inside, inside)
         prior = np.zeros_like(A)
@@ -446,102 +504,93 @@ class Trials:
 
     def _leave_out(self, inside: Indices) -> Array:
         """Return the squared error of each joint on each held-out group (groups, n)."""
-        both = zip(self._without, self._groups, strict=True)
-        ones = np.ones(self.rows.n_joints)
-        return np.array(
-            [
-                self._errors(self._fit(without, inside), ones, group).squares(NONE, np.zeros(0))
-                for without, group in both
-            ]
-        )
+        fits = ((self._fit_without(group, inside), group) for group in self._groups)
+        return np.array([self._measure_squares(fit.start[None], group)[0] for fit, group in fits])
 
-    def _errors(self, fit: _Fit, weights: Array, blocks: Indices | None = None) -> _Errors:
-        """Return the errors of a fit, joint k times `weights[k]`, on all blocks or some."""
-        n_blocks = self.rows.n_blocks if blocks is None else len(blocks)
-        longest = max(rows.shape[1] for rows in self.rows.rows)
-        residual = np.zeros((n_blocks, self.rows.n_joints, longest))
-        moves = np.zeros((*residual.shape, len(fit.columns)))
-        every = zip(self.rows.rows, self.rows.places, weights, strict=True)
-        for k, (rows, places, weight) in enumerate(every):
-            own = rows if blocks is None else rows[blocks]
-            # Zeros where the joint has a column that the fit has not: to take these out would
-            # copy the rows.
-            coefficients = np.zeros((rows.shape[-1], 1 + len(fit.columns)))
-            there = np.flatnonzero(places >= 0)
-            coefficients[places[there], 0] = fit.residual[there]
-            kept = np.flatnonzero(places[fit.inside] >= 0)
-            coefficients[places[fit.inside[kept]], 1:] = fit.moves[kept]
-            at = np.flatnonzero(places[fit.columns] >= 0)
-            coefficients[places[fit.columns[at]], 1 + at] -= 1.0
-            moved = weight * (own @ coefficients)
-            residual[:, k, : own.shape[1]] = moved[..., 0]
-            moves[:, k, : own.shape[1]] = moved[..., 1:]
-        return _Errors(residual, moves)
+    def _measure_squares(self, residuals: Array, blocks: Indices) -> Array:
+        """Return the squared error (m, n) of each joint by residuals (m, P + 1) on some blocks."""
+        found = np.empty((len(residuals), self.rows.n_joints))
+        for k, rows in enumerate(self.rows.rows):
+            error = rows[blocks].reshape(-1, rows.shape[-1]) @ self._at_joint(residuals, k)
+            found[:, k] = np.einsum("im,im->m", error, error)
+        return found
 
-    def _measure_error(self, residual: Array) -> float:
-        """Return the weighted squared error of a residual with these coefficients (P + 1,)."""
-        there = np.flatnonzero(residual)
-        x = residual[there]
-        return float(x @ self._total.at(there, there) @ x)
+    def _at_joint(self, coefficients: Array, k: int) -> Array:
+        """Return what a joint's rows are multiplied by, of coefficients (m, P + 1) of all."""
+        return coefficients[:, np.append(self.rows.support[k], self.rows.n_columns)].T
 
-    def _measure_distance(self, residual: Array) -> float:
+    def _score_blocks(self, fits: Sequence[_Fit], residuals: Array) -> list[Array]:
+        """Return the scores (B, c) of each block's columns of fits with residuals (m, P + 1)."""
+        changes = np.vstack([fit.changes() for fit in fits])
+        owner = np.repeat(np.arange(len(fits)), [len(fit.columns) for fit in fits])
+        scores = np.zeros((self.rows.n_blocks, len(owner)))
+        for k, (rows, weight) in enumerate(zip(self.rows.rows, self.weights, strict=True)):
+            flat = weight * rows.reshape(-1, rows.shape[-1])
+            moved = (flat @ self._at_joint(changes, k)).reshape(*rows.shape[:2], -1)
+            error = (flat @ self._at_joint(residuals, k)).reshape(*rows.shape[:2], -1)
+            scores -= np.einsum("bmc,bmc->bc", moved, error[..., owner])
+        return np.split(scores, np.flatnonzero(np.diff(owner)) + 1, axis=1)
+
+    def _measure_error(self, residuals: Array) -> Array:
+        """Return the weighted squared errors (...) of residuals (..., P + 1)."""
+        there = np.flatnonzero(np.any(residuals.reshape(-1, residuals.shape[-1]), axis=0))
+        x = residuals[..., there]
+        return np.asarray(np.sum((x @ self._total.at(there, there)) * x, axis=-1))
+
+    def _measure_distance(self, residuals: Array) -> Array:
+        """Return the squared distances (...) from CAD of the values in residuals (..., P + 1)."""
         # The residual holds minus the values.
-        away = -residual[: self.n_base] - self.prior.mean
-        return float(away @ self.prior.information @ away)
+        away = -residuals[..., : self.n_base] - self.prior.mean
+        return np.asarray(np.sum((away @ self.prior.information) * away, axis=-1))
 
-    def _try_candidates(
-        self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
-    ) -> list[Trial]:
-        """Try candidates that replace the same parameters; without a gain they have no trial.
+    def _measure_cost(self, residuals: Array) -> Array:
+        """Return the costs (...) of residuals (..., P + 1)."""
+        return self._measure_error(residuals) + self._measure_distance(residuals)
 
-        `start` are held-out errors (groups, n), error and distance from CAD of what is taken.
-        """
-        held_before, error_before, distance_before = start
-        inside = np.setdiff1d(self._list_inside(self.taken), candidates[0].replaces)
-        gaining = self._find_gaining(candidates, inside, error_before + distance_before)
-        if not gaining:
-            return []
-        columns = np.unique(np.concatenate([candidate.places for candidate, _ in gaining]))
-        whole = self._fit(self._total, inside, columns)
-        errors = self._errors(whole, self.weights)
-        ones = np.ones(self.rows.n_joints)
-        held_out = [
-            (fit, self._errors(fit, ones, group))
-            # One fit a group, shared by all its joints.
-            for without, group in zip(self._without, self._groups, strict=True)
+    def _conclude(
+        self,
+        candidate: Candidate,
+        gain: float,
+        fit: _Fit,
+        d: Array,
+        scores: Array,
+    ) -> Trial:
+        """Return the trial of a candidate with values d, and scores (B, c) of the blocks there."""
+        # Their scatter is the covariance of the values.
+        covariance, p_value = _estimate_scatter(fit.schur, scores, d)
+        felt = float(np.max(self._measure_torques(candidate, d) / self._rms))
+        if len(candidate.replaces):
+            # That a term in place of another one is zero is no question: its gain is one. And
+            # nearly all of its torque is the torque of what it replaces.
+            p_value = float(chdtrc(max(len(d) - len(candidate.replaces), 0) + 1, 2.0 * gain))
+            fall = 2.0 * self.prior.effect * max(gain, 0.0)
+            felt = float(np.sqrt(fall / self._total.diagonal[-1]))
+        return Trial(candidate, d, covariance, p_value, gain=gain, felt=felt)
+
+    def _measure_reliefs(self, candidates: Sequence[Candidate]) -> Array:
+        """Return the logarithm of the fall of the squared error on each group, (m, groups)."""
+        asked = self._list_asked(candidates)
+        reliefs = []
+        for group, torque in zip(self._groups, self._torque, strict=True):
+            fit = self._fit_without(group, *asked)
+            parts = (fit.beside(candidate) for candidate in candidates)
+            # The values refit with the training equations: the held-out group only judges them.
+            residuals = [fit.start, *(part.residual(self._damp(part)) for part in parts)]
             # Exact torques of a simulation leave squares of 0, of which the ratio would be
             # undefined.
-            for fit in (self._fit(without, inside, columns),)
-        ]
-        floor = np.finfo(np.float64).eps * self._torque + np.finfo(np.float64).tiny
-        trials = []
-        for candidate, gain in gaining:
-            c = np.searchsorted(columns, candidate.places)
-            schur = whole.schur(c)
-            d: Array = np.asarray(np.linalg.solve(schur, whole.score[c]), dtype=np.float64)
-            # Scores of the blocks at the fit with the candidate: their scatter is its covariance.
-            covariance, p_value = _estimate_scatter(schur, errors.scores(c, d), d)
-            felt = float(np.max(self._measure_torques(candidate, d) / self._rms))
-            if len(candidate.replaces):
-                # That a term in place of another one is zero is no question: its gain is one. And
-                # nearly all of its torque is the torque of what it replaces.
-                p_value = float(chdtrc(max(len(c) - len(candidate.replaces), 0) + 1, 2.0 * gain))
-                fall = 2.0 * self.prior.effect * max(gain, 0.0)
-                felt = float(np.sqrt(fall / self._total.diagonal[-1]))
-            size = self._size[candidate.places]
-            held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
-            ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
+            floor = np.finfo(np.float64).eps * torque + np.finfo(np.float64).tiny
+            error = np.maximum(self._measure_squares(np.array(residuals), group), floor)
             # Joints without weight are not in the fit, so that they say nothing about it.
-            relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
-            # Half squares of independent standard errors, the unit of the gain.
-            distance = self._measure_distance(whole.moved(c, d, self.n_base))
-            nearer = (distance_before - distance) / (2.0 * self.prior.effect)
-            trials.append(Trial(candidate, d, covariance, p_value, relief, gain, nearer, felt))
-        return trials
+            ratio = (error[0] / error[1:])[:, self.weights > 0.0]
+            reliefs.append(np.log(ratio).mean(axis=1))
+        return np.array(reliefs).T
 
-    def _find_gaining(
-        self, candidates: Sequence[Candidate], inside: Indices, cost: float
-    ) -> list[tuple[Candidate, float]]:
+    def _damp(self, fit: _Fit) -> Array:
+        """Return the values (c,) of columns by a ridge, for those that a group alone shows."""
+        ridge = RULES.ridge * np.diag(self._size[fit.columns] ** 2)
+        return np.asarray(np.linalg.solve(fit.schur + ridge, fit.score))
+
+    def _find_gaining(self, candidates: Iterable[Candidate]) -> list[tuple[Candidate, float]]:
         """Return the candidates that lower the cost surely, with their gain.
 
         Without what they replace the cost is another one; a column with score s and Schur
@@ -550,26 +599,30 @@ class Trials:
         acting = [candidate for candidate in map(self.acting, candidates) if candidate.places.size]
         if not acting:
             return []
-        columns = np.unique(np.concatenate([candidate.places for candidate in acting]))
-        fit = self._fit(self._total, inside, columns)
-        x = fit.residual
+        whole = self._fit(*self._list_asked(acting))
+        cost = float(self._measure_cost(whole.start))
+        fits = [whole.beside(candidate) for candidate in acting]
         # What is lost without the parameters replaced, before the new columns win it back.
-        lost = self._measure_error(x) + self._measure_distance(x) - cost
+        lost = np.zeros(len(acting))
+        replacing = [k for k, candidate in enumerate(acting) if candidate.replaces.size]
+        if replacing:
+            lost[replacing] = (
+                self._measure_cost(np.array([fits[k].start for k in replacing])) - cost
+            )
         gaining = []
-        for candidate in acting:
-            c = np.searchsorted(columns, candidate.places)
-            schur = fit.schur(c)
+        for candidate, fit, loss in zip(acting, fits, lost.tolist(), strict=True):
+            schur = fit.schur
             scale = self._size[candidate.places]
             # A column within the others up to rounding would have any value.
             if np.linalg.eigvalsh(schur / np.outer(scale, scale))[0] < RULES.separate:
                 continue
-            fall = float(fit.score[c] @ np.linalg.solve(schur, fit.score[c])) - lost
+            fall = float(fit.score @ np.linalg.solve(schur, fit.score)) - loss
             # The logarithm: what an effect explains is no noise of the fit with it.
             left = max(1.0 - fall / cost, np.finfo(np.float64).eps) if cost > 0.0 else 1.0
             gain = -0.5 * cost / self.prior.effect * float(np.log(left))
             # Chance takes half a square for each column; twice that is asked here, Bonferroni
             # later.
-            if gain >= RULES.sure * len(c):
+            if gain >= RULES.sure * len(candidate.places):
                 gaining.append((candidate, gain))
         return gaining
 
@@ -613,13 +666,3 @@ def _sum_torques(rows: BlockRows, blocks: Indices | None = None) -> Array:
     """Return the squared torque of each joint (n,) in all blocks or some."""
     torques = [own[..., -1] if blocks is None else own[blocks, :, -1] for own in rows.rows]
     return np.array([np.einsum("bm,bm->", torque, torque) for torque in torques])
-
-
-def _score_left_out(fit: _Fit, errors: _Errors, c: Indices, size: Array) -> Array:
-    """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
-    schur = fit.schur(c)
-    # The value refits with the training equations: the held-out group only judges it.
-    d: Array = np.asarray(
-        np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c]), dtype=np.float64
-    )
-    return errors.squares(c, d)

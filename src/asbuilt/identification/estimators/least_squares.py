@@ -110,13 +110,17 @@ def fit_least_squares(
 
 
 def joint_noise(
-    information: SquareRootInformation, prior: Array, settled: float = WEIGHT_CONVERGENCE
+    information: SquareRootInformation,
+    prior: Array,
+    settled: float = WEIGHT_CONVERGENCE,
+    near: Array | None = None,
 ) -> Array:
     """Return the deviation (n,) of each joint's residual in the fit with `"joint"` weights.
 
-    It is that of `fit_least_squares`, without its parameters and their errors.
+    It is that of `fit_least_squares`, without its parameters and their errors; `near` is that of
+    a fit nearby, from which fewer steps lead there.
     """
-    weights, _, _ = _choose_weights(information, "joint", prior, settled)
+    weights, _, _ = _choose_weights(information, "joint", prior, settled, near)
     return _solve_weighted(information, weights, prior)[1]
 
 
@@ -125,6 +129,7 @@ def _choose_weights(
     weights: Weighting | ArrayLike | None,
     toward: Array | None,
     settled: float,
+    near: Array | None = None,
 ) -> tuple[Array, int, bool]:
     """Return the weights (n,) of a fit, the iterations they took, and whether they converged."""
     n = information.n_joints
@@ -139,6 +144,8 @@ def _choose_weights(
     seen = information.has_torque
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
     w = np.where(seen, check_weights(given, seen), 0.0)
+    if near is not None:
+        w[seen] = 1.0 / np.maximum(near[seen], floor)
     iterations = int(not iterated)
     converged = True
     ahead = FixedPoint(NEAR)

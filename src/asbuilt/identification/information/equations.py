@@ -146,26 +146,43 @@ class BlockRows(_GroupedColumns):
             own[np.append(support, self.n_columns)] = np.arange(len(support) + 1)
         return places
 
+    def among(self, columns: Indices) -> BlockRows:
+        """Return the rows of some columns alone, which are numbered as before, and the torque."""
+        kept = [np.flatnonzero(np.isin(support, columns)) for support in self.support]
+        own = zip(self.rows, self.support, kept, strict=True)
+        return replace(
+            self,
+            support=tuple(s[k] for s, k in zip(self.support, kept, strict=True)),
+            rows=tuple(rows[..., np.append(k, len(s))] for rows, s, k in own),
+        )
+
     def product(self, k: int, columns: Indices, coefficients: Array) -> Array:
         """Return joint k's rows (B, m, ...) times coefficients (c, ...) of some columns."""
         own = self.places[k, columns]
         there = own >= 0
         return np.asarray(self.rows[k][:, :, own[there]] @ coefficients[there])
 
-    def inner(self, weights: Array, left: Indices, right: Indices) -> Array:
-        """Return inner products (l, r) of columns over all joints, k times `weights[k]`^2."""
+    def inner(
+        self, weights: Array, left: Indices, right: Indices, blocks: Indices | None = None
+    ) -> Array:
+        """Return inner products (l, r) of columns over all joints, k times `weights[k]`^2.
+
+        They are over all blocks or some.
+        """
         total = np.zeros((len(left), len(right)))
         for own, rows, weight in zip(self.places, self.rows, weights, strict=True):
-            flat = weight * rows.reshape(-1, rows.shape[-1])
+            flat = rows if blocks is None else rows[blocks]
+            flat = weight * flat.reshape(-1, rows.shape[-1])
             rows_at = np.flatnonzero(own[left] >= 0)
             columns_at = np.flatnonzero(own[right] >= 0)
-            total[np.ix_(rows_at, columns_at)] += (
-                flat[:, own[left[rows_at]]].T @ flat[:, own[right[columns_at]]]
-            )
+            one = flat[:, own[left[rows_at]]]
+            # Squares of one array take half of the time.
+            other = one if left is right else flat[:, own[right[columns_at]]]
+            total[np.ix_(rows_at, columns_at)] += one.T @ other
         return total
 
-    def squares(self, weights: Array, blocks: Indices | None = None) -> Squares:
-        """Return the inner products of all columns, over all blocks or some."""
+    def squares(self, weights: Array) -> Squares:
+        """Return the inner products of all columns."""
         joints = np.count_nonzero(self.places >= 0, axis=0)
         # The model's columns and the torque belong to every row that may have them.
         shared = joints != 1
@@ -175,8 +192,7 @@ class BlockRows(_GroupedColumns):
         crossed = np.zeros((int(shared.sum()), self.n_columns + 1))
         local = []
         for support, rows, weight in zip(self.support, self.rows, weights, strict=True):
-            flat = rows if blocks is None else rows[blocks]
-            flat = weight * flat.reshape(-1, rows.shape[-1])
+            flat = weight * rows.reshape(-1, rows.shape[-1])
             columns = np.append(support, self.n_columns)
             common = shared[columns]
             crossed[np.ix_(shared_place[columns[common]], columns)] += flat[:, common].T @ flat
@@ -201,12 +217,6 @@ class Squares:
     shared: Array
     shared_place: Indices
     local: tuple[tuple[Indices, Array], ...]
-
-    def less(self, other: Squares) -> Squares:
-        """Return the products less those of a part of the same rows."""
-        both = zip(self.local, other.local, strict=True)
-        local = tuple((places, own - part) for (places, own), (_, part) in both)
-        return replace(self, shared=self.shared - other.shared, local=local)
 
     @cached_property
     def diagonal(self) -> Array:
@@ -262,3 +272,16 @@ class Squares:
         for places, _ in self.local:
             place[places] = np.arange(len(places))
         return place
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Products:
+    """Hold the inner products (c, c) of some columns, in ascending order."""
+
+    columns: Indices
+    values: Array
+
+    def at(self, left: Indices, right: Indices) -> Array:
+        """Return the products (l, r) of some of the columns with others of them."""
+        rows, columns = (np.searchsorted(self.columns, each) for each in (left, right))
+        return self.values[rows[:, None], columns]

@@ -269,9 +269,13 @@ class SquareRootInformation:
 
         They have half of the digits of the factor that `stacked` returns.
         """
+        return self.sum_grams(self.joint_grams, weights)
+
+    def sum_grams(self, grams: Sequence[Array], weights: Array) -> Array:
+        """Return the sum of inner products (p_k + 1, p_k + 1) of joints, in all columns."""
         p = self.base.n_base
         total = np.zeros((p + 1, p + 1))
-        for spans, gram, weight in zip(self._spans, self.joint_grams, weights, strict=True):
+        for spans, gram, weight in zip(self._spans, grams, weights, strict=True):
             weighted = weight**2 * gram
             for rows, own_rows in spans:
                 for columns, own_columns in spans:

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.linalg import lapack
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.codec import make_plain
@@ -382,8 +383,15 @@ def _predict_errors(
     """Return the standard errors of the weak parameters, and the scaling used."""
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    whitened = information * np.outer(size, size) + LIMITS.added * np.eye(len(size))
-    return np.sqrt(np.diag(np.linalg.inv(whitened)))[weak] * size[weak], size
+    whitened = information * np.outer(size, size)
+    whitened[np.diag_indices_from(whitened)] += LIMITS.added
+    root, failed = lapack.dpotrf(whitened)
+    # Rounding of a motion that shows others much better may exceed what is added.
+    if failed:
+        return np.sqrt(np.diag(np.linalg.inv(whitened)))[weak] * size[weak], size
+    # The inverse of R^T R has the squared rows of R^-1 on its diagonal, in a third of the time.
+    inverse, _ = lapack.dtrtri(root)
+    return np.linalg.norm(inverse[weak], axis=1) * size[weak], size
 
 
 def sample_information(
@@ -402,7 +410,10 @@ def sample_information(
     largest = float(result.sigma[np.isfinite(result.sigma)].max(initial=0.0))
     sigma = np.maximum(result.sigma, 1e-9 * max(largest, 1e-300))
     for support, own, sd in zip(plan.support, rows, sigma, strict=True):
-        total[np.ix_(support, support)] += own @ own.T / sd**2
+        # Columns first, then whole rows: places by pairs would take five times as long.
+        wide = np.zeros((len(support), result.n_base))
+        wide[:, support] = own @ own.T / sd**2
+        total[support] += wide
     return total / len(q)
 
 

@@ -252,32 +252,36 @@ def parameter_torque(
     return rigid, rigid + friction
 
 
-def pair_with_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
-    """Put a predicted torque (N, n), given at every sample, next to the one measured.
+def pair_with_measured(model: RobotModel, samples: Samples, torque: Iterable[Array]) -> Prediction:
+    """Put a predicted torque, given on each of the samples' spans (L, n), next to the one measured.
 
     Both go through the filter of the samples, less what reactions explain. Torques of
     joints without a torque channel are NaN.
     """
     # Torques are compared in their unit, not in that of the noise.
     plain = samples.reactions.in_units_of(())
-    if plain:
-        tau, raw, torque = (
-            plain.project_torque(model, samples.q, each)
-            for each in (samples.tau, samples.tau_raw, torque)
-        )
-        samples = replace(samples, tau=tau, tau_raw=raw)
     squares = np.zeros((1, len(samples.joint_names)))
-    count = 0
-    for span in samples.spans():
-        error = samples.tau_raw[span] - torque[span]
-        # row by row, so that the sum equals the sum of all rows at once to the last bit
-        squares = np.vstack([squares, error**2]).sum(axis=0, keepdims=True)
-        count += len(error)
+
+    def project(values: Iterable[Array]) -> Iterator[Array]:
+        for span, own in zip(samples.spans(), values, strict=True):
+            yield plain.at(span).project_torque(model, samples.q[span], own)
+
+    def compare() -> Iterator[Array]:
+        nonlocal squares
+        recorded = project(samples.tau_raw[span] for span in samples.spans())
+        for raw, found in zip(recorded, project(torque), strict=True):
+            # row by row, so that the sum equals the sum of all rows at once to the last bit
+            squares = np.vstack([squares, (raw - found) ** 2]).sum(axis=0, keepdims=True)
+            yield found
+
+    predicted = samples.filtered_spans(compare())
+    count = sum(b - a for a, b in samples.segments)
+    logged = project(samples.tau[span] for span in samples.spans())
     measured = np.where(samples.has_torque, 1.0, np.nan)
     return Prediction(
         samples.filtered_times,
-        measured * samples.filtered_torque,
-        samples.filtered(torque),
+        measured * samples.filtered_spans(logged),
+        predicted,
         measured * np.sqrt(squares[0] / count),
         samples.joint_names,
         samples.source,
@@ -310,7 +314,5 @@ def predict_torque(
     ResultError
         If the samples belong to other joints or `values` is not of shape (p,).
     """
-    torque = np.zeros(samples.q.shape)
-    for span, _, part in predict_in_spans(model, base, values, samples, added=added):
-        torque[span] = part
-    return pair_with_measured(model, samples, torque)
+    spans = predict_in_spans(model, base, values, samples, added=added)
+    return pair_with_measured(model, samples, (torque for _, _, torque in spans))

@@ -46,18 +46,17 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
     speed = np.array([limit.velocity for limit in limits])
     driven = np.isin(np.arange(model.n_joints), model.driven_joints)
     span[~driven] = speed[~driven] = np.inf
-    low, high = (
-        np.array([edge(samples.in_segments(samples.q), axis=0) for samples in training])
-        for edge in (np.min, np.max)
-    )
-    speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
-    # Percentiles, as single samples are noise.
+    # Percentiles, as single samples are noise; joint by joint, as a recording may be long.
     fast = np.max(
-        [np.percentile(speed_samples, COVERAGE_PERCENTILE, axis=0) for speed_samples in speeds],
+        [
+            [np.percentile(np.abs(one.in_segments(qd)), COVERAGE_PERCENTILE) for qd in one.qd.T]
+            for one in training
+        ],
         axis=0,
     )
     # Over all recordings together: each may cover a part.
-    covered = _measure_range_share(high.max(axis=0) - low.min(axis=0), span)
+    least, greatest = _find_extremes(training)
+    covered = _measure_range_share((greatest - least)[: model.n_joints], span)
     reached = _measure_range_share(fast, speed)
     narrow = np.flatnonzero(covered < COVERAGE_POSITION)
     if narrow.size:
@@ -108,16 +107,16 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
     """
     if held_out.q.shape[1] < FEWEST_JOINTS:
         return 0.0
-    q, qd = _stack_states(fitted)
     joints = held_out.q.shape[1]
-    fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
-    size = np.concatenate([NEAR_POSITION * np.ptp(q, axis=0), NEAR_VELOCITY * fastest])
+    least, greatest = _find_extremes(fitted)
+    fastest = np.maximum(greatest, -least)[joints:]
+    size = np.concatenate([NEAR_POSITION * (greatest - least)[:joints], NEAR_VELOCITY * fastest])
     moving = size > 0.0
     # Too few joints move: other motions pass near by chance.
     if not moving[:joints].sum() >= FEWEST_JOINTS:
         return 0.0
-    before = _thin_states(q, qd)
-    after = _thin_states(*_stack_states([held_out]))
+    before = _thin_states(fitted)
+    after = _thin_states([held_out])
     from scipy.spatial import KDTree  # noqa: PLC0415 - light start
 
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
@@ -137,19 +136,28 @@ def repeats(one: Samples, other: Samples) -> bool:
     return any(share > REPEATED for share in shares)
 
 
-def _stack_states(samples: Sequence[Samples]) -> list[Array]:
-    """Return all positions and velocities (N, n), without a copy if there is one recording."""
-    pairs = zip(
-        *([recording.in_segments(x) for x in (recording.q, recording.qd)] for recording in samples),
-        strict=True,
+def _find_extremes(samples: Sequence[Samples]) -> tuple[Array, Array]:
+    """Return the least and greatest of all positions and velocities, (2 n,) each."""
+    states = [(each, span) for each in samples for span in each.spans()]
+    # Span by span: states of a long recording are many.
+    least, greatest = (
+        np.array([np.append(end(s.q[span], axis=0), end(s.qd[span], axis=0)) for s, span in states])
+        for end in (np.min, np.max)
     )
-    return [parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in pairs]
+    return least.min(axis=0), greatest.max(axis=0)
 
 
-def _thin_states(q: Array, qd: Array) -> Array:
-    """Return states (q, qd), evenly spread."""
-    step = max(1, len(q) // MOST_STATES)
-    return np.hstack([q[::step], qd[::step]])
+def _thin_states(samples: Sequence[Samples]) -> Array:
+    """Return states (q, qd) of all recordings together, evenly spread."""
+    places = [np.concatenate([np.arange(a, b) for a, b in s.segments]) for s in samples]
+    step = max(1, sum(map(len, places)) // MOST_STATES)
+    parts = []
+    passed = 0
+    for each, own in zip(samples, places, strict=True):
+        taken = own[-passed % step :: step]
+        parts.append(np.hstack([each.q[taken], each.qd[taken]]))
+        passed += len(own)
+    return np.concatenate(parts)
 
 
 def check_left_out(

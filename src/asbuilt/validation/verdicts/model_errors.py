@@ -58,10 +58,17 @@ def with_exported(
     exported = export_parameters(result)
     if exported is None:
         return validation
-    torque = np.zeros(samples.q.shape)
-    for span in samples.spans():
-        state = samples.q[span], samples.qd[span], samples.qdd[span]
-        torque[span] = parameter_torque(result.model, result.base.drive, exported, *state)[1]
+    torque = (
+        parameter_torque(
+            result.model,
+            result.base.drive,
+            exported,
+            samples.q[span],
+            samples.qd[span],
+            samples.qdd[span],
+        )[1]
+        for span in samples.spans()
+    )
     return replace(
         validation, metrics_exported=pair_with_measured(result.model, samples, torque).metrics()
     )

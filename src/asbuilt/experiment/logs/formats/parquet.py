@@ -34,7 +34,7 @@ LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
 FIRST_READ = 8_000_000
 """Memory [bytes] of what is read at first, when the beginning may be all that is asked for."""
-MOST_READ = 64_000_000
+MOST_READ = 128_000_000
 """Memory [bytes] that is read at once. A reading unpacks the pages of its row group before its
 first row too: a long recording in one row group costs the square of its length over this."""
 PARQUET = FileKind("Parquet")
@@ -145,7 +145,10 @@ def read_row_ranges(
     begin = 0
     while begin < rows:
         try:
-            frame = scan_parquet(path)[0].select(columns).slice(begin, at_once).collect()
+            lazy = scan_parquet(path)[0]
+            # One by one: a reading holds all pages of its row group, at worst those of the file.
+            parts = [lazy.select(name).slice(begin, at_once).collect() for name in columns]
+            frame = pl.concat(parts, how="horizontal")
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
             raise RecordingError(
                 f"{path}: rows {begin + 1} to {min(begin + at_once, rows)} cannot be"
@@ -154,8 +157,10 @@ def read_row_ranges(
                 file=str(path),
             ) from None
         for first in range(0, frame.height, chunk_samples):
-            part = list_columns(frame.slice(first, chunk_samples))
-            yield {"first": begin + first}, [part[name] for name in columns]
+            chunk = list_columns(frame.slice(first, chunk_samples))
+            yield {"first": begin + first}, [chunk[name] for name in columns]
+        # Else both are held while the next are read.
+        del frame, parts
         begin += at_once
         at_once = min(2 * at_once, most)
 
