@@ -214,11 +214,11 @@ def _return_freed_memory() -> None:
     """Let the system have large arrays back when they are freed, where the C library is glibc.
 
     Else it keeps room for the largest so far, in pieces that the next do not fit, and for each
-    thread apart. Of small ones it keeps some room: given back with every array and asked for again
-    with the next, each page of it is a fault, and faults take up to half of a large check.
+    thread apart. Of smaller ones it keeps some room: given back with every array and asked for
+    again with the next, each page of it is a fault, and faults take up to half of a large check.
     """
-    largest_kept = 1 << 20  # bytes
-    room_kept = 1 << 26  # bytes
+    largest_kept = 1 << 24  # bytes
+    room_kept = 1 << 28  # bytes
     of_arrays = -3  # M_MMAP_THRESHOLD
     of_room = -1  # M_TRIM_THRESHOLD
     of_threads = -8  # M_ARENA_MAX
