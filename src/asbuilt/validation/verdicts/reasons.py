@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.description.plausibility import (
     explain_implausible_links,
@@ -323,7 +323,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
         )
 
 
-def _list_absurd_links(model: RobotModel, parameters: NDArray[np.float64]) -> Iterator[Reason]:
+def _list_absurd_links(model: RobotModel, parameters: Array) -> Iterator[Reason]:
     """Yield exported links whose mass and inertia no body has; CAD may have them like that."""
     absurd = [*explain_implausible_links(model.with_parameters(parameters))]
     if not absurd:

@@ -56,18 +56,18 @@ const roles = { logs: "identify with it", validation: "validate on it", payload:
 const countLogs = (choices) => Object.keys(roles).reduce((sum, use) => sum + choices[use].length, 0);
 
 let drawnLogs = "";
-let drawnRoles = [];
 function drawLogs(choices) {
   const count = countLogs(choices);
   mark("logs", count ? count + (count > 1 ? " logs" : " log") : "", "good");
   const signature = JSON.stringify(Object.keys(roles).map((use) => choices[use]));
-  if (signature === drawnLogs) {
-    for (const [role, use] of drawnRoles) role.value = use;
-    return;
-  }
-  drawnLogs = signature;
-  drawnRoles = [];
   const list = element("log-list");
+  if (signature !== drawnLogs) fillLogs(list, choices);
+  drawnLogs = signature;
+  // A choice that was refused, or that another one took back, is not shown.
+  for (const role of list.querySelectorAll("select")) role.value = role.dataset.use;
+}
+
+function fillLogs(list, choices) {
   list.textContent = "";
   for (const use of Object.keys(roles)) {
     for (const path of choices[use]) {
@@ -75,10 +75,8 @@ function drawLogs(choices) {
       const name = make(row, "span", { class: "name" });
       make(name, "b", {}, fileName(path));
       make(name, "span", { class: "quiet" }, " " + path);
-      const role = make(row, "select", { "aria-label": "use of " + path });
+      const role = make(row, "select", { "aria-label": "use of " + path, "data-use": use });
       for (const [value, text] of Object.entries(roles)) make(role, "option", { value }, text);
-      role.value = use;
-      drawnRoles.push([role, use]);
       role.addEventListener("change", () => useLogs([path], role.value));
       make(row, "button", { type: "button" }, "Remove").addEventListener("click", () => useLogs([path], ""));
     }

@@ -51,8 +51,8 @@ function describeFit(answer) {
   return `Predicts ${what} to ${percent(held(answer).relative_error)} of the torque (CAD ${percent(answer.cad && answer.cad.relative_error)}).`;
 }
 
-/* A feasible interval; null is an open end. */
-const range = (least, greatest) => (greatest === null ? `over ${digits(least)}` : `${digits(least)} to ${digits(greatest)}`);
+/* Masses that the log allows, in the words of the report; null is an open end. */
+const range = (least, greatest) => (greatest === null ? `${digits(least)} kg or more` : `${digits(least)} to ${digits(greatest)} kg`);
 
 const held = (answer) => answer.validation[0] || answer.train;
 
@@ -67,7 +67,7 @@ function drawCards(answer) {
   const judged = answer.verdict && answer.verdict.measure === "torque" ? answer.verdict.error : {};
   card(percent(judged.exported ?? held(answer).relative_error), "torque error as built");
   if (answer.cad) card(percent(judged.cad ?? answer.cad.relative_error), "torque error of CAD");
-  if (answer.mass && answer.mass.feasible) card(range(...answer.mass.feasible) + " kg", `mass of the links by this log, CAD ${digits(answer.mass.cad)} kg`);
+  if (answer.mass && answer.mass.feasible) card(range(...answer.mass.feasible), `mass of the links by this log, CAD ${digits(answer.mass.cad)} kg`);
   card(answer.physically_consistent === false ? "no" : answer.physically_consistent ? "yes" : "-", "physically consistent");
 }
 
