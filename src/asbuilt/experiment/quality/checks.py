@@ -12,7 +12,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.description.plausibility import check_plausibility, list_corrections
+from asbuilt.description.plausibility import (
+    check_plausibility,
+    find_wrong_units,
+    list_corrections,
+)
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.gravity_load import DEGREE
@@ -331,7 +335,7 @@ def _choose_description(model: RobotModel, motion: SmoothedMotion, scale: Array)
 
 def _report_corrected_masses(model: RobotModel, described: RobotModel) -> Iterator[Finding]:
     """Yield the impossible masses in whose place the torques of the log agree with others."""
-    units = any(each.code == "description_units" for each in check_plausibility(model))
+    units = find_wrong_units(model) is not None
     for link, meant in zip(model.links, described.links, strict=True):
         # A unit is a matter of all links, and is reported as one.
         if units or link.inertia.mass == meant.inertia.mass:
