@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, read_only
+from asbuilt.codec import make_plain, store_as
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
@@ -126,9 +127,24 @@ class RobotModel:
     locked_joints: Mapping[str, float] = field(default_factory=dict)
     held_followers: Mapping[str, str] = field(default_factory=dict)
     assumed_carriers: tuple[str, ...] = ()
-    mass_ranges: tuple[MassRange, ...] = ()
+    mass_ranges: tuple[MassRange, ...] = field(
+        default=(),
+        metadata=store_as(
+            encode=lambda ranges: [[*make_plain(known).values()] for known in ranges],
+            decode=lambda ranges: tuple(
+                MassRange(tuple(links), lower, np.inf if upper is None else upper)
+                for links, lower, upper in ranges
+            ),
+        ),
+    )
     usual_drive: str = ""
-    contacts: tuple[Contact, ...] = ()
+    contacts: tuple[Contact, ...] = field(
+        default=(),
+        metadata=store_as(
+            encode=lambda contacts: [*map(str, contacts)],
+            decode=lambda texts: Contact.parse(",".join(texts)) if texts else (),
+        ),
+    )
     described_gravity: Array | None = None
     source: str = ""
     citation: str = ""

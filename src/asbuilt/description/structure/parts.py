@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.codec import store_as
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import check_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
@@ -31,6 +32,8 @@ PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that a description states by themselves; all others are further terms."""
 ROOT = -1
 """Parent index of a joint that hangs on the root link."""
+UNLIMITED = store_as(missing=np.inf)
+"""How an upper limit is stored that may be infinite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +45,12 @@ class JointLimits:
     Raises `DescriptionError` where they leave no position, or a limit is negative or not a number.
     """
 
-    lower: float = -np.inf
-    upper: float = np.inf
-    velocity: float = np.inf
-    acceleration: float = np.inf
-    jerk: float = np.inf
-    torque: float = np.inf
+    lower: float = field(default=-np.inf, metadata=store_as(missing=-np.inf))
+    upper: float = field(default=np.inf, metadata=UNLIMITED)
+    velocity: float = field(default=np.inf, metadata=UNLIMITED)
+    acceleration: float = field(default=np.inf, metadata=UNLIMITED)
+    jerk: float = field(default=np.inf, metadata=UNLIMITED)
+    torque: float = field(default=np.inf, metadata=UNLIMITED)
 
     def __post_init__(self) -> None:
         # NaN fails every comparison, and is refused as well.
@@ -213,6 +216,14 @@ def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
     return chain[::-1]
 
 
+def _list_numbers(body: LinkInertia) -> list[float]:
+    return body.parameters.tolist()
+
+
+def _read_body(numbers: Sequence[float]) -> LinkInertia:
+    return LinkInertia(np.array(numbers, dtype=np.float64))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
     """One moving rigid body.
@@ -224,9 +235,15 @@ class Link:
     """
 
     name: str
-    inertia: LinkInertia
+    inertia: LinkInertia = field(metadata=store_as(encode=_list_numbers, decode=_read_body))
     inertia_known: bool = True
-    parts: tuple[tuple[str, LinkInertia], ...] = ()
+    parts: tuple[tuple[str, LinkInertia], ...] = field(
+        default=(),
+        metadata=store_as(
+            encode=lambda parts: [[name, _list_numbers(body)] for name, body in parts],
+            decode=lambda parts: tuple((str(name), _read_body(body)) for name, body in parts),
+        ),
+    )
     negligible: bool = False
 
     @classmethod
