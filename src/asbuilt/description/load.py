@@ -212,11 +212,10 @@ def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
             f"{path} is not a robot description in a known format; formats are {titles}",
             file=str(path),
         )
-    if base != "fixed" and found.read_on_base is not None:
-        return found.read_on_base(path, base)
-    read = found.read_fixed if fixed_base and found.read_fixed is not None else found.read
     with name_file_in_errors(path):
-        return _check_base(read(path), base)
+        if found.on_bases:
+            return found.read(path, fixed_base=fixed_base, base=base)
+        return _check_base(found.read(path), base)
 
 
 def _check_base(model: RobotModel, base: BaseKind) -> RobotModel:

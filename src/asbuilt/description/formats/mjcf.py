@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -515,7 +514,6 @@ DESCRIPTION_FORMATS.register(
         (".mjcf", ".xml"),
         read_mjcf,
         lambda content: find_outermost_tag(content) == "mujoco",
-        read_fixed=partial(read_mjcf, fixed_base=True),
-        read_on_base=lambda path, base: read_mjcf(path, base=base),
+        on_bases=True,
     ),
 )

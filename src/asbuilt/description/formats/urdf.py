@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -508,7 +507,6 @@ DESCRIPTION_FORMATS.register(
         (".urdf", ".xml"),
         read_urdf,
         lambda content: find_outermost_tag(content) == "robot",
-        read_fixed=partial(read_urdf, fixed_base=True),
-        read_on_base=lambda path, base: read_urdf(path, base=base),
+        on_bases=True,
     ),
 )
