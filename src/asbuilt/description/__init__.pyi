@@ -31,7 +31,6 @@ from .rotation import quaternion_from_rotation as quaternion_from_rotation
 from .rotation import rotation_from_rpy as rotation_from_rpy
 from .rotation import rotation_onto as rotation_onto
 from .rotation import rpy_from_rotation as rpy_from_rotation
-from .structure.free_base import refuse_free_base as refuse_free_base
 from .structure.loops import Loop as Loop
 from .structure.parts import PLAIN_TERMS as PLAIN_TERMS
 from .structure.parts import ROOT as ROOT

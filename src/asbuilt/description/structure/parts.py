@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -216,7 +216,7 @@ def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
     return chain[::-1]
 
 
-def _list_numbers(body: LinkInertia) -> list[float]:
+def _list_numbers(body: LinkInertia) -> Any:
     return body.parameters.tolist()
 
 
