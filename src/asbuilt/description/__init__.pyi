@@ -19,7 +19,6 @@ from .load import robot_names as robot_names
 from .meshes import MeshMeasures as MeshMeasures
 from .meshes import measure_mesh as measure_mesh
 from .model import RobotModel as RobotModel
-from .plausibility import Plausibility as Plausibility
 from .plausibility import add_plausibility as add_plausibility
 from .plausibility import check_in_shape as check_in_shape
 from .plausibility import check_plausibility as check_plausibility
