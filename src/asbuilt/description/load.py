@@ -23,7 +23,13 @@ from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.ranges import option, switch
-from asbuilt.untrusted import allow_xacro_python, describe_problem, name_file_in_errors, read_bytes
+from asbuilt.untrusted import (
+    allow_xacro_python,
+    describe_problem,
+    name_file_in_errors,
+    read_bytes,
+    shorten_path,
+)
 
 PATHS = ("URDF_PATH", "MJCF_PATH", "XACRO_PATH")
 
@@ -177,8 +183,9 @@ def _load(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
         exists = bool(text) and path.exists()
         is_folder = exists and path.is_dir()
     except (OSError, ValueError) as error:
-        shown = text if len(text) < 200 else f"{text[:60]}..."
-        raise DescriptionError(f"{shown} cannot be read: {describe_problem(error)}") from None
+        raise DescriptionError(
+            f"{shorten_path(text)} cannot be read: {describe_problem(error)}"
+        ) from None
     if exists and not is_folder:
         return _read(path, fixed_base, base)
     suffixes = ", ".join(list_suffixes())

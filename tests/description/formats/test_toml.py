@@ -220,6 +220,10 @@ BROKEN = {
         link('dh = {}\nparent = "b"'),
         r"parent of link 'a' is 'b'.*known here: root",
     ),
+    "mimic of itself": (
+        link('dh = {}\njoint = "j"\nmimic = { joint = "j", multiplier = 2 }'),
+        r"joint 'j' mimics itself",
+    ),
     "unknown length": (
         link('origin = { xyz = ["L", 0, 0] }'),
         r"uses 'L', which is not among the named lengths \(none\)",

@@ -11,7 +11,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import compose_placements
 from asbuilt.description.structure.joint_map import OneToOne
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
@@ -381,5 +380,4 @@ def _join_parts(carrier: Link, link: Link, pose: Array) -> Link:
     )
     more = link.parts or ((link.name, link.inertia),)
     parts = (*known_parts, *((name, inertia.moved(pose)) for name, inertia in more))
-    total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
-    return replace(carrier, inertia=total, inertia_known=True, parts=parts)
+    return replace(Link.of_parts(carrier.name, parts), negligible=carrier.negligible)

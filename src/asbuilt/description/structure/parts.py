@@ -123,6 +123,14 @@ class Mimic:
     offset: float = 0.0
     joint: str = ""
 
+    @classmethod
+    def of(cls, joint: str, other: str, multiplier: float, offset: float) -> Mimic:
+        """Return how a joint follows another; raises `DescriptionError` where it is no other."""
+        if joint == other:
+            # By its own name a joint names its motor, which it then would have.
+            raise DescriptionError(f"joint {joint!r} mimics itself; name the joint it follows")
+        return cls({other: multiplier}, offset)
+
     def __str__(self) -> str:
         terms = [f"{factor:+.6g} {name}" for name, factor in self.factors.items()]
         terms += [f"{self.offset:+.6g}"] if self.offset else []
