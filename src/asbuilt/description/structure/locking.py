@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -197,56 +197,45 @@ def _find_assumed_carriers(
     return tuple(name for name in guessed if name in carry)
 
 
-def report_locks(
-    locked: Mapping[str, float],
-    followers: Mapping[str, str] | None = None,
-    carriers: Sequence[str] = (),
-) -> tuple[Finding, ...]:
-    """Return a finding that names the locked joints with their positions.
+def report_locks(model: RobotModel) -> Iterator[Finding]:
+    """Yield a finding that names the locked joints with their positions.
 
-    It is a warning where some of them (`carriers`) carry joints that move, at positions that are
-    assumed. Another one names those that follow (`followers`) a joint which moves.
+    It is a warning where some of them carry joints that move, at positions that are assumed.
+    Another one names those that follow a joint which moves.
     """
-    if not locked:
-        return ()
-    coupled = [f"{name} follows {source}" for name, source in (followers or {}).items()]
-    held_still = (
-        Finding(
-            "follower_held",
-            "warning",
-            f"{join_names(coupled)}, but is held still: the inertia, weight and friction of what it"
-            " moves are missing from the torque of the joint that it follows",
-            Cure("do not trust that joint's parameters, or record with it at rest and lock it"),
-        ),
-    )
-    held = [f"{name} at {value:.4g}" for name, value in locked.items()]
-    names = ",".join(f"{name}=VALUE" for name in locked)
-    several = len(held) > 1
+    held = [f"{name} at {value:.4g}" for name, value in model.locked_joints.items()]
+    carriers = model.assumed_carriers
     guess = (
         f"; {join_names(carriers)} carr{'y' if len(carriers) > 1 else 'ies'} joints that move, so"
-        " that"
-        " their torques are wrong if this position is"
+        " that their torques are wrong if this position is"
         if carriers
         else ""
     )
-    return (
-        Finding(
+    several = len(held) > 1
+    if held:
+        yield Finding(
             "joints_locked",
             "warning" if carriers else "info",
             f"joints are locked that the recording lacks or that were named: {join_names(held)};"
-            " their"
-            f" links count to those that carry them{guess}"
+            f" their links count to those that carry them{guess}"
             if several
             else f"joint {held[0]} is locked, since the recording lacks it or it was named; its"
             f" link counts to the one that carries it{guess}",
             Cure(
                 f"if {'they' if several else 'it'} stood elsewhere, give the"
                 f" position{'s' if several else ''}",
-                {"lock": names},
+                {"lock": ",".join(f"{name}=VALUE" for name in model.locked_joints)},
             ),
-        ),
-        *(held_still if coupled else ()),
-    )
+        )
+    if model.held_followers:
+        coupled = [f"{name} follows {source}" for name, source in model.held_followers.items()]
+        yield Finding(
+            "follower_held",
+            "warning",
+            f"{join_names(coupled)}, but is held still: the inertia, weight and friction of what it"
+            " moves are missing from the torque of the joint that it follows",
+            Cure("do not trust that joint's parameters, or record with it at rest and lock it"),
+        )
 
 
 def _derive_locked_positions(
