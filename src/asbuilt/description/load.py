@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,7 +16,7 @@ from asbuilt.description.formats.description_format import (
     format_of,
     list_suffixes,
 )
-from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, close_match, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
@@ -54,9 +53,9 @@ def find_published_description(name: str) -> Path:
         raise MissingExtraError("robot_descriptions", "robots", f"the published robot {name}")
     known = [module.name for module in iter_modules(package.submodule_search_locations)]
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        more = f"; did you mean {near[0]!r}?" if near else ""
-        raise DescriptionError(f"robot_descriptions has no robot {name!r}{more}", value=name)
+        raise DescriptionError(
+            f"robot_descriptions has no robot {name!r}{close_match(name, known)}", value=name
+        )
     try:
         module = import_module(f"robot_descriptions.{name}")
     except Exception as error:  # whatever Git and the network raise
@@ -275,7 +274,4 @@ def bundled_robot(name: str) -> RobotModel:
 
 def suggest_robot(name: str) -> str:
     """Return `" (did you mean 'puma-560'?)"` for the nearest bundled robot, or an empty text."""
-    matches = difflib.get_close_matches(
-        name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4
-    )
-    return f" (did you mean {matches[0]!r}?)" if matches else ""
+    return close_match(name.lower().replace("_", "-"), robot_names(), cutoff=0.4)

@@ -190,12 +190,8 @@ class LimitsTable(_Table):
     torque: Positive = math.inf
 
     @model_validator(mode="after")
-    def _ordered(self) -> LimitsTable:
-        if not self.lower <= self.upper or self.lower == math.inf or self.upper == -math.inf:
-            raise ValueError(
-                f"lower = {self.lower} must not exceed upper = {self.upper}, and neither may lie"
-                " beyond all positions"
-            )
+    def _sound(self) -> LimitsTable:
+        self.in_si(1.0)
         return self
 
     def in_si(self, scale: float) -> JointLimits:

@@ -167,7 +167,7 @@ class Closure(JointMap):
 
     def postures(self, q: Array) -> Postures:
         """Return how well the loops close at positions of the motors (N, n)."""
-        motion, quality = self._follow(q, None, None)
+        motion, quality = self._follow(q)
         closed = quality[:, 2] > 0.0
         gap = quality[:, 0].copy()
         distance = np.zeros(len(q))
@@ -210,13 +210,25 @@ class Closure(JointMap):
         known[: q.size] = q
         return np.asarray(known, dtype=np.float64)
 
-    def _follow(self, q: Array, qd: Array | None, qdd: Array | None) -> tuple[TreeMotion, Array]:
-        given = np.ascontiguousarray(q, dtype=np.float64)
-        rates = [
-            np.zeros_like(given) if part is None else np.ascontiguousarray(part)
-            for part in (qd, qdd)
+    def _follow(
+        self, q: Array, qd: Array | None = None, qdd: Array | None = None, *, search: bool = False
+    ) -> tuple[TreeMotion, Array]:
+        """Return the motion for motors (N, n), and how well the loops close (N, 3).
+
+        A search takes the first posture for a guess, from which it may go far.
+        """
+        given = [
+            np.zeros(q.shape) if part is None else np.ascontiguousarray(part, dtype=np.float64)
+            for part in (q, qd, qdd)
         ]
-        return _run(self.arrays, self.scale, self.home, self.tolerance, False, given, *rates)
+        samples, n = q.shape
+        n_tree = self.offset.size
+        at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
+        shares = np.zeros((samples, n_tree, n))
+        quality = np.zeros((samples, 3))
+        out = at, rates, accelerations, shares, quality
+        close_loops(*self.arrays, self.scale, self.home, self.tolerance, search, *given, *out)
+        return TreeMotion(at, rates, accelerations, shares), quality
 
     def _make_error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
@@ -239,26 +251,6 @@ class Closure(JointMap):
         )
 
 
-def _run(
-    arrays: tuple[Array | Indices, ...],
-    scale: Array,
-    home: Array,
-    tolerance: float,
-    search: bool,
-    q: Array,
-    qd: Array,
-    qdd: Array,
-) -> tuple[TreeMotion, Array]:
-    samples, n = q.shape
-    n_tree = arrays[-1].size
-    at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
-    shares = np.zeros((samples, n_tree, n))
-    quality = np.zeros((samples, 3))
-    out = at, rates, accelerations, shares, quality
-    close_loops(*arrays, scale, home, tolerance, search, q, qd, qdd, *out)
-    return TreeMotion(at, rates, accelerations, shares), quality
-
-
 def derive_closure(model: RobotModel) -> Closure:
     """Return how motors move the joints of all links of a robot through its loops.
 
@@ -269,10 +261,7 @@ def derive_closure(model: RobotModel) -> Closure:
     n = model.n_joints
     found = _open(model)
     # The first posture is a guess: Newton may go far, and nothing is within a tolerance yet.
-    motion, quality = _run(
-        found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
-        *np.zeros((2, 1, n)),
-    )  # fmt: skip
+    motion, quality = found._follow(found.home[None, :n], search=True)
     at = found._find_coordinates(found.home[:n], motion.q[0])
     _check_closed(found, at, quality[0])
     # Numbers of a description are rounded: their own gap, and some more, is closed.
@@ -407,12 +396,12 @@ def _derive_typical_shares(found: Closure) -> Closure:
     rng = np.random.default_rng(SEED)
     around = rng.uniform(-NEAR, NEAR, (EXAMPLES, n)) * found.scale[:n]
     q = np.vstack([found.home[:n], found.home[:n] + around])
-    motion, quality = found._follow(q, None, None)
+    motion, quality = found._follow(q)
     good = quality[:, 2] > 0.0
     if np.count_nonzero(good) < 2:
         # A mechanism with little room closes only next to the first posture.
         small = 1e-3 * around
-        motion, quality = found._follow(found.home[:n] + small, None, None)
+        motion, quality = found._follow(found.home[:n] + small)
         good = quality[:, 2] > 0.0
     _check_motors(found)
     examples = motion.shares[good]
