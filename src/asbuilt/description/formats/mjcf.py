@@ -45,11 +45,9 @@ from asbuilt.description.rotation import (
     condense_notes,
     placement,
     rotation_from_quaternion,
-    rotation_from_rpy,
     rotation_onto,
     rotation_z,
-    rpy_from_rotation,
-    straighten_angle,
+    straighten_placement,
 )
 from asbuilt.description.structure.free_base import clear_base_inertias, free_mjcf
 from asbuilt.description.structure.parts import BaseKind
@@ -467,13 +465,8 @@ class _Tree:
         )
 
     def placed(self, position: Array, quaternion: Array, what: str) -> Array:
-        R = rotation_from_quaternion(quaternion)
-        before = len(self.notes)
-        angles = [
-            straighten_angle(float(angle), f"{name} of {what}", self.notes)
-            for name, angle in zip(("roll", "pitch", "yaw"), rpy_from_rotation(R), strict=True)
-        ]
-        return placement(R if len(self.notes) == before else rotation_from_rpy(angles), position)
+        pose = placement(rotation_from_quaternion(quaternion), position)
+        return straighten_placement(pose, what, self.notes)
 
     def add_sites(self) -> None:
         taken = {*self.names, *(frame.name for frame in self.frames)}
