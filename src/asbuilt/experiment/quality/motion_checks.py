@@ -21,7 +21,6 @@ from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
     compare_by_any_masses,
 )
-from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -39,14 +38,15 @@ USUAL_PEAK = 99.5
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """Say why motion in radians is impossible: degrees, another rate, or another robot.
+    """Say why motion in radians is impossible: degrees, a rate too high, or another robot.
 
     Parameters
     ----------
     evidence
         What exceeds which limit, as text.
     unit
-        Unit of the positions that the torques support, None if they support neither.
+        Unit of the positions that the torques support, None if they support neither; radians only
+        at a lower rate.
     rate
         Highest rate [Hz] at which every joint keeps its limit of velocity in radians; None if the
         positions themselves are impossible.
@@ -64,17 +64,9 @@ class Excess:
             ""
             if self.rate is None
             else f"the rate of {given:.4g} Hz is too high; every limit of velocity is kept up to"
-            # The unit and the rate are told apart by what the torques support.
             f" {self.rate:.3g} Hz"
         )
-        if self.unit == "rad" and not slower:
-            return Finding(
-                "position_limit",
-                "error",
-                f"the positions are another robot's, or count from another zero: {self.evidence},"
-                " and the torques follow gravity at these positions in radians",
-                Cure("choose the robot recorded, or write zero = [...] in a recording sheet"),
-            )
+        # The unit and the rate are told apart by what the torques support.
         if self.unit == "rad":
             return Finding(
                 "rate_wrong",
@@ -83,12 +75,13 @@ class Excess:
                 " radians",
                 Cure(right_rate, settings={"rate": "HZ"}),
             )
-        other = ""
-        cure = Cure(convert)
-        if self.unit is None and slower:
+        if self.unit == "deg":
+            other = ""
+            cure = Cure(convert, sheet={"units": {"position": "deg"}})
+        elif slower:
             other = f", or {slower}"
             cure = Cure(f"{convert}; or {right_rate}", settings={"rate": "HZ"})
-        elif self.unit is None:
+        else:
             other = ", or another robot's"
             cure = Cure(f"choose the robot recorded, or {convert}")
         kept = "" if slower else ", and as degrees every joint keeps its limits"
@@ -96,7 +89,7 @@ class Excess:
             "degrees",
             "error",
             f"the positions look like degrees{other}: {self.evidence}{kept}",
-            replace(cure, sheet={} if self.unit is None else {"units": {"position": "deg"}}),
+            cure,
         )
 
 
@@ -161,10 +154,8 @@ def _find_far_position(
     model: RobotModel, statistics: FirstPass, turning: list[int]
 ) -> tuple[str, float]:
     """Return which position is far outside its limits, empty if none is, and the largest one."""
-    extremes = statistics.position_range
     joints = [model.joints[k] for k in turning]
-    largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
-    largest = np.where(extremes.count > 0, largest, np.nan)[turning]
+    largest = statistics.position_range.furthest[turning]
     bounds = np.array([max(abs(joint.limits.lower), abs(joint.limits.upper)) for joint in joints])
     # A joint without limits turns once.
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
@@ -207,9 +198,7 @@ def check_recorded_motion(
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(find_velocity_unit(model, statistics, motion, motion.logged_qd))
-        # A wrong unit makes every comparison of velocities wrong: the first finding is the cause.
-        velocities = velocities or list(check_velocities(statistics, motion, motion.logged_qd))
+        velocities = list(check_velocities(model, statistics, motion, motion.logged_qd))
     if excess is None:
         yield from _find_millimetres(model, statistics)
         yield from _check_limits(model, statistics)
@@ -229,9 +218,8 @@ def _find_millimetres(model: RobotModel, statistics: FirstPass) -> Iterator[Find
         bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
         # A slide without limits is no longer than the robot.
         bound = bound if np.isfinite(bound) else stretched_length(model)
-        extremes = statistics.position_range
         # By absolute position: millimetres are off by a factor, not by a shift.
-        furthest = float(max(abs(extremes.low[k]), abs(extremes.high[k])))
+        furthest = float(statistics.position_range.furthest[k])
         # 1e-3: a millimetre in metres.
         if joint.is_revolute or not FAR < furthest / bound < 1e3 * KEPT:
             continue

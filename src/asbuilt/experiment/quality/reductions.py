@@ -49,6 +49,11 @@ class Extremes:
             np.maximum(self.high, values.max(axis=0, where=finite, initial=-np.inf)),
         )
 
+    @property
+    def furthest(self) -> Array:
+        """Largest size of each column, (n,); NaN where there is no value."""
+        return np.where(self.count > 0, np.maximum(np.abs(self.low), np.abs(self.high)), np.nan)
+
 
 @dataclass(frozen=True, eq=False)
 class Exceedance:
