@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.gravity_checks import measure_gravity_share
-from asbuilt.experiment.quality.passes import FirstPass
+from asbuilt.experiment.quality.passes import FirstPass, still_ranges
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import (
     USUAL_FRICTION,
@@ -32,8 +32,6 @@ FEWEST_ALIKE = 3
 RATE_TOO_HIGH = 4.0
 """Share of gravity in that of accelerations from which a clock is too fast: by half. Armatures
 that the description lacks, and gains, make the share smaller."""
-USUAL_PEAK = 99.5
-"""Percentile of the speeds that counts as the largest: single samples may be noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,11 +172,16 @@ def _find_far_position(
     ), float(np.max(largest))
 
 
+def _measure_speeds(motion: SmoothedMotion) -> Array:
+    """Return the largest speed of each joint (n,), but for single samples, which may be noise."""
+    return np.asarray(np.percentile(np.abs(motion.qd), 99.5, axis=0))
+
+
 def _find_fast_joint(
     model: RobotModel, motion: SmoothedMotion, turning: list[int]
 ) -> tuple[str, float]:
     """Return which joint is far too fast, empty if none is, and how many times its limit."""
-    speed = np.percentile(np.abs(motion.qd[:, turning]), USUAL_PEAK, axis=0)
+    speed = _measure_speeds(motion)[turning]
     fastest = np.array([model.joints[k].limits.velocity for k in turning])
     # A joint without a limit of velocity is taken to turn at 10 rad/s.
     # A speed in degrees must be a usual one, so that converting cures it.
@@ -261,26 +264,19 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
     if not known.size:
         return
-    ratio = np.percentile(np.abs(motion.qd[:, known]), USUAL_PEAK, axis=0) / limits[known]
+    ratio = _measure_speeds(motion)[known] / limits[known]
     # Multiple of its limit at the median joint from which the rate is doubted.
     if np.median(ratio) <= 1.2:
         return
     k = int(np.argmax(ratio))
-    # Descriptions that are converted from drawings have one number as every limit.
-    if known.size >= FEWEST_ALIKE and np.ptp(limits[known]) == 0.0:
-        yield Finding(
-            "limits_doubted",
-            "info",
-            f"every limit of velocity of {model.name} is {limits[known[0]]:.4g}, and"
-            f" {model.joint_names[known[k]]} moves {ratio[k]:.3g} times as fast: they look like"
-            " placeholders, and say nothing of the log",
-            Cure("write the true limits into the description"),
-        )
-        return
-    yield Finding(
+    name = model.joint_names[known[k]]
+    placeholders = doubt_limits(
+        model, "velocity", limits[known], f"{name} moves {ratio[k]:.3g} times as fast"
+    )
+    yield placeholders or Finding(
         "velocity_limit",
         "warning",
-        f"most joints exceed their limits of velocity, {model.joint_names[known[k]]}"
+        f"most joints exceed their limits of velocity, {name}"
         # The rate that the fastest joint would allow.
         f" {ratio[k]:.2g} times: the rate of {rate:.4g} Hz is too high (limits allow"
         f" {rate / ratio[k]:.3g} Hz), or the limits are wrong",
@@ -288,23 +284,33 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     )
 
 
+def doubt_limits(model: RobotModel, quantity: str, limits: Array, exceeded: str) -> Finding | None:
+    """Return that one number is the limit of all joints, which the log has `exceeded`."""
+    # Descriptions that are converted from drawings have one number as every limit.
+    if limits.size < FEWEST_ALIKE or np.ptp(limits) > 0.0:
+        return None
+    return Finding(
+        "limits_doubted",
+        "info",
+        f"every limit of {quantity} of {model.name} is {limits[0]:.4g}, and {exceeded}: they look"
+        " like placeholders, and say nothing of the log",
+        Cure("write the true limits into the description"),
+    )
+
+
 def _find_still(model: RobotModel, statistics: FirstPass, scale: float) -> Iterator[Finding]:
-    still: list[tuple[str, float, str]] = []
+    """Find joints that hardly move; `scale` converts positions of joints that turn to rad."""
     extremes = statistics.position_range
-    for k, joint in enumerate(model.joints):
-        # Position range below which a joint hardly moves [rad or m].
-        factor, least = (scale, 0.05) if joint.is_revolute else (1.0, 0.005)
-        span = float(extremes.high[k] * factor - extremes.low[k] * factor)
-        span = span if extremes.count[k] else 0.0
-        if span < least:
-            still.append((joint.name, span, joint.unit))
-    if len(still) == model.n_joints:
-        name, span, unit = max(still, key=lambda joint: joint[1])
+    factor = np.where([joint.is_revolute for joint in model.joints], scale, 1.0)
+    span = np.where(extremes.count > 0, factor * (extremes.high - extremes.low), 0.0)
+    still = np.flatnonzero(span < still_ranges(model))
+    if still.size == model.n_joints:
+        k = int(np.argmax(span))
         yield Finding(
-            # A range in degrees is converted, so that one threshold serves both units.
             "nothing_moves",
             "error",
-            f"no joint moves: the largest position range is {span:.3g} {unit}, the range of {name}",
+            f"no joint moves: the largest position range is {span[k]:.3g} {model.joints[k].unit},"
+            f" the range of {model.joint_names[k]}",
             Cure(
                 "record the robot in motion, and check that the position columns are the measured"
                 " ones",
@@ -312,14 +318,15 @@ def _find_still(model: RobotModel, statistics: FirstPass, scale: float) -> Itera
             ),
         )
         return
-    for name, span, unit in still:
+    for k in still.tolist():
+        joint = model.joints[k]
         yield Finding(
             "joint_still",
             "warning",
-            f"{name} hardly moves: its position range is {span:.3g} {unit}; its friction and part"
-            " of its inertia stay undetermined",
+            f"{joint.name} hardly moves: its position range is {span[k]:.3g} {joint.unit}; its"
+            " friction and part of its inertia stay undetermined",
             Cure("move every joint over a large part of its range", call="design_motion"),
-            joint=name,
+            joint=joint.name,
         )
 
 

@@ -295,6 +295,11 @@ def position_limits(model: RobotModel) -> tuple[Array, Array]:
     )
 
 
+def still_ranges(model: RobotModel) -> Array:
+    """Return the range of positions [rad or m] below which each joint hardly moves, (n,)."""
+    return np.array([0.05 if joint.is_revolute else 0.005 for joint in model.joints])
+
+
 def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
     changed = find_changed_rows(chunk.q, chunk.tau)

@@ -7,12 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.reductions import SmoothedMotion, normalise_columns
+from asbuilt.experiment.quality.reductions import (
+    SmoothedMotion,
+    find_swapped_columns,
+    normalise_columns,
+)
 from asbuilt.experiment.quality.unit_checks import MOST_ROWS, fit_joint
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -65,17 +69,18 @@ def check_velocities(
             )
         return
     correlation = normalise_columns(logged[:, moving]).T @ normalise_columns(slope[:, moving])
-    swapped = _list_swapped(correlation, moving)
+    swapped = [
+        (names[moving[a]], names[moving[b]])
+        for a, b in find_swapped_columns(correlation, SWAPPED, OWN)
+    ]
     if swapped:
-        pairs = join_names(
-            [f"the velocity of {names[a]} belongs to {names[b]}" for a, b in swapped]
-        )
+        pairs = join_names([f"the velocity of {a} belongs to {b}" for a, b in swapped])
         yield Finding(
             "velocity_swapped",
             "error",
             f"velocity columns are in another order than position columns: {pairs}",
             Cure("name the columns in a recording sheet: [columns] velocity = [...]"),
-            joint=names[swapped[0][0]],
+            joint=swapped[0][0],
         )
         return
     gain = np.sum(logged * slope, axis=0)[moving] / energy[moving]
@@ -283,18 +288,3 @@ def _check_ends(
             joint=statistics.first.joint_names[k],
             time=statistics.clock.first if name == "first" else statistics.clock.last - end,
         )
-
-
-def _list_swapped(correlation: Array, moving: Indices) -> list[tuple[int, int]]:
-    """Return joints whose velocity is that of another: correlations (m, m) of moving ones (m,)."""
-    # The own correlation must be poor: joints that move in step correlate with all.
-    if np.all(np.diag(correlation) >= OWN):
-        return []
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
-
-    # One assignment of all columns: pairs alone would miss a cycle.
-    return [
-        (int(moving[a]), int(moving[b]))
-        for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
-        if a != b and correlation[a, b] > SWAPPED and correlation[a, a] < OWN
-    ]
