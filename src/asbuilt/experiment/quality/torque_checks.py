@@ -17,6 +17,7 @@ from asbuilt.experiment.quality.gravity_checks import check_gravity, find_fricti
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import (
+    CLEAR,
     TorqueFit,
     compare_by_any_masses,
     find_best_assignment,
@@ -26,10 +27,9 @@ from asbuilt.experiment.quality.torque_fit import (
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE, UNWRAPPED
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
-CLEAR = 0.9
 CERTAIN = 0.95
-"""Correlations with the model's torque from which sign and scale of a joint are clear, and from
-which a single joint may be reported to differ from the others."""
+"""Correlation with the model's torque from which the scale of a single joint may differ from the
+others'."""
 PLAUSIBLE = 0.3, 3.0
 """Gain that masses unlike CAD explain; beyond, the unit of the torque differs. The masses of CAD
 are known to some tens of percent, and gravity dominates."""
@@ -174,7 +174,7 @@ def _report_swapped(fit: TorqueFit, best: TorqueFit, severity: Severity) -> Find
             else f"the position of {motion} and the torque of {torque}"
         )
         fits.append(f"{names[k]} fits {what}")
-    before, after = (float(np.mean(np.abs(f.correlation[moved]))) for f in (fit, best))
+    before, after = fit.compare_correlation(best, np.array(moved))
     return Finding(
         "joints_swapped",
         severity,
@@ -210,7 +210,7 @@ def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -
     # A correlation must be clear before gain or sign is read from it.
     clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > CLEAR))]
     if not clear:
-        yield from _find_uncorrelated(model, correlation, gain, predicted)
+        yield from _find_uncorrelated(fit, gain)
         return
     evidence = "; ".join(
         f"{names[k]}: gain {gain[k]:.3g}, correlation {correlation[k]:.3f}"
@@ -224,12 +224,7 @@ def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -
     # Beyond these gains relative to the others the unit or gain of a joint differs.
     # A gain far from the others' is another fault than a sign.
     usual = (relative > 0.2) & (relative < 5.0)
-    alone = [
-        k
-        for k in np.flatnonzero(fit.decides & usual).tolist()
-        # A joint alone needs more certainty than one among many.
-        if sign * correlation[k] < -(CLEAR if k in clear else CERTAIN)
-    ]
+    alone = [k for k in clear if usual[k] and sign * correlation[k] < 0.0]
     if flipped:
         yield Finding(
             "torque_flipped",
@@ -240,11 +235,9 @@ def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -
             if alone
             else _make_flip_cure(statistics.first.notes),
         )
-    unclear = ~np.isin(np.arange(model.n_joints), clear)
     # Where rigid bodies say nothing friction does.
-    friction = sign * fit.correlate_friction(np.flatnonzero(unclear))
+    friction = sign * fit.correlate_friction(set(range(model.n_joints)) - set(clear))
     braking = np.flatnonzero(friction < -BRAKING).tolist()
-    braking = [k for k in braking if k not in alone]
     for k in alone:
         yield _report_opposite_sign(statistics, fit, k, sign, alone, gain[k])
     for k in braking:
@@ -347,18 +340,18 @@ def _report_opposite_sign(
     )
 
 
-def _find_uncorrelated(
-    model: RobotModel, correlation: Array, gain: Array, predicted: Array
-) -> Iterator[Finding]:
+def _find_uncorrelated(fit: TorqueFit, gain: Array) -> Iterator[Finding]:
     """Find torques unlike the model's, unless noise or friction of the model's size explains it."""
+    predicted = fit.predicted
     k = int(np.argmax(predicted))
+    correlation = fit.correlation[k]
     # Noise and friction of the model's size hide a correlation, and need no finding.
-    if not (correlation[k] > 0.3 and 0.8 < gain[k] < 1.25):
+    if not (correlation > 0.3 and 0.8 < gain[k] < 1.25):
         yield Finding(
             "torque_uncorrelated",
             "warning",
-            f"no torque of the log correlates with the model's: {correlation[k]:.2f} for"
-            f" {model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
+            f"no torque of the log correlates with the model's: {correlation:.2f} for"
+            f" {fit.model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
             Cure("check robot, columns and units, and gravity if the robot hangs or is on a wall"),
         )
 
