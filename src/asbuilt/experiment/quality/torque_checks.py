@@ -47,7 +47,7 @@ def check_torques(
     fit = TorqueFit.of(model, motion, position_scale)
     # Without masses there is no torque to compare with.
     if not np.any(fit.predicted > 0):
-        yield from _check_without_masses(fit)
+        yield from _check_without_masses(statistics, fit)
         return
     if fit.ratio == 0:
         yield Finding(
@@ -92,7 +92,7 @@ def _list_wrapped_joints(statistics: FirstPass) -> tuple[int, ...]:
     return tuple(range(statistics.n_joints)) if wrapped else ()
 
 
-def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
+def _check_without_masses(statistics: FirstPass, fit: TorqueFit) -> Iterator[Finding]:
     """Check signs by friction, and the scale by the length of the arm."""
     model = fit.model
     friction = fit.friction_correlation
@@ -111,11 +111,11 @@ def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
         " the scale of the torques",
         Cure("use a description with masses to have them checked"),
     )
-    yield from _check_signs_by_friction(fit)
+    yield from _check_signs_by_friction(statistics, fit)
     yield from check_scale_without_masses(fit)
 
 
-def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
+def _check_signs_by_friction(statistics: FirstPass, fit: TorqueFit) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
     model = fit.model
     friction = fit.friction_correlation
@@ -131,15 +131,10 @@ def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
         )
         yield Finding(
             "torque_flipped",
-            "error" if sure else "warning",
+            "error" if sure and "sign" not in statistics.first.stated else "warning",
             "the torque sign looks flipped: torques correlate negatively with the direction of"
             f" motion, unlike friction ({listed})",
-            _make_signs_cure(model, -1.0, right)
-            if right
-            else Cure(
-                "flip the torque sign, or write sign = -1 in a recording sheet",
-                settings={"flip_torque": True},
-            ),
+            _make_flip_cure(statistics, -1.0, right),
         )
         return
     for k in wrong:
@@ -155,7 +150,7 @@ def _report_driven_motion(
         "warning",
         f"the torque of {model.joint_names[k]} correlates negatively with its direction of motion"
         f" ({correlation:.2f}), unlike friction; its sign may be flipped",
-        _make_signs_cure(model, sign, wrong),
+        _make_signs_cure(model.n_joints, sign, wrong),
         joint=model.joint_names[k],
     )
 
@@ -231,9 +226,7 @@ def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -
             _weigh_flip(statistics, fit, clear),
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            _make_signs_cure(model, sign, alone)
-            if alone
-            else _make_flip_cure(statistics.first.notes),
+            _make_flip_cure(statistics, sign, alone),
         )
     # Where rigid bodies say nothing friction does.
     friction = sign * fit.correlate_friction(set(range(model.n_joints)) - set(clear))
@@ -335,7 +328,7 @@ def _report_opposite_sign(
         "joint_torque_flipped",
         "error" if sure else "warning",
         f"the torque of {name} alone has the opposite sign of the model's ({evidence})",
-        _make_signs_cure(fit.model, sign, alone),
+        _make_signs_cure(fit.model.n_joints, sign, alone),
         joint=name,
     )
 
@@ -356,8 +349,12 @@ def _find_uncorrelated(fit: TorqueFit, gain: Array) -> Iterator[Finding]:
         )
 
 
-def _make_flip_cure(notes: Collection[str]) -> Cure:
-    """Return the cure of all signs, which may have been flipped already."""
+def _make_flip_cure(statistics: FirstPass, sign: float, others: Collection[int]) -> Cure:
+    """Return the cure of signs that are flipped, at all joints but `others`."""
+    if others:
+        return _make_signs_cure(statistics.n_joints, sign, others)
+    # All may have been flipped already.
+    notes = statistics.first.notes
     if FLIPPED_TWICE in notes:
         return Cure(
             "keep one of the two flips: sign = -1 in the recording sheet, or the flip of all"
@@ -370,9 +367,9 @@ def _make_flip_cure(notes: Collection[str]) -> Cure:
     )
 
 
-def _make_signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -> Cure:
+def _make_signs_cure(n_joints: int, sign: float, flipped: Collection[int]) -> Cure:
     """Return the cure of signs, where the `flipped` joints have the opposite of all others."""
-    signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(model.n_joints))
+    signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(n_joints))
     return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
 
 
