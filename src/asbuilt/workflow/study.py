@@ -25,7 +25,7 @@ from asbuilt.experiment import (
     head_of,
 )
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.virtual.physics import import_mujoco
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination

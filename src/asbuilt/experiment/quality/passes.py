@@ -25,7 +25,7 @@ from asbuilt.experiment.recording import (
     find_changed_rows,
     join_recordings,
 )
-from asbuilt.experiment.signal.prepared_motion import find_spikes
+from asbuilt.experiment.signal.resampling import find_spikes
 from asbuilt.findings import Cure
 
 Bits = np.ndarray[tuple[int], np.dtype[np.uint8]]
