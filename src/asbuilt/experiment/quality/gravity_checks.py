@@ -212,7 +212,7 @@ class _TorqueParts:
 
     def measure_share(self, gravity: ArrayLike) -> float:
         """Return the least-squares share of a gravity, in that of accelerations; NaN if unclear."""
-        whole = np.tensordot(gravity, self.gravity, 1)
+        whole = np.tensordot(np.asarray(gravity), self.gravity, 1)
         columns = np.stack([self.motion.ravel(), whole.ravel()], axis=1)
         y = self.measured.ravel()
         # A vertical axis has no gravity, a robot at rest no acceleration.
