@@ -268,7 +268,8 @@ def _is_falling(model: RobotModel, recording: Recording) -> bool:
     """Return whether the base falls freely on average, as it does where nothing touches it."""
     t = recording.t - recording.t[0]
     up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)
-    height = recording.q[:, : len(up)][:, :3] @ up[: min(3, model.n_floating)]
+    places = 3 if model.n_floating == len(AXES) else 2  # a planar base has no height of its own
+    height = recording.q[:, :places] @ up[:places]
     fall = -2.0 * np.polyfit(t, height, 2)[0]
     return bool(fall > 0.5 * np.linalg.norm(model.gravity))
 

@@ -40,7 +40,7 @@ from asbuilt.experiment.logs.formats.log_format import (
 from asbuilt.experiment.logs.mending import LogMender
 from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange, find_sheet_beside, read_sheet
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import ENCODERS, Recording
 from asbuilt.experiment.root import root_of
 from asbuilt.findings import Cure
 from asbuilt.untrusted import note_input
@@ -85,7 +85,8 @@ def with_joint_units(
             if column in table.open_units and held.get(joint) is None:
                 _refuse_open(table, column, joint, sheet)
             continue
-        shifts = {"position": offset, "command": offset, "velocity": 0.0, "acceleration": 0.0}
+        of_position = dict.fromkeys(("position", "command", *ENCODERS.values()), offset)
+        shifts = {**of_position, "velocity": 0.0, "acceleration": 0.0}
         for quantity, shift in shifts.items():
             if quantity in layout.quantities:
                 column = layout.quantities[quantity][k]
