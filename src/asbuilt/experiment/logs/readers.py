@@ -26,11 +26,7 @@ from asbuilt.experiment.logs.columns.roles import (
     parse_unit_scale,
     recognise_any,
 )
-from asbuilt.experiment.logs.columns.unnamed_columns import (
-    draft_sheet,
-    format_draft,
-    name_fields,
-)
+from asbuilt.experiment.logs.columns.unnamed_columns import draft_sheet
 from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
     choose_log_format,
@@ -328,16 +324,15 @@ def find_table_layout(
     """
     if not table.named and sheet.columns.position is None:
         count = len(table.order or table.columns)
-        content, others = draft_sheet(table, model, options.rate or sheet.rate)
-        draft = format_draft(content, others)
+        draft = draft_sheet(table, model, options.rate or sheet.rate)
         raise RecordingError(
             f"{table.source} has {count} columns without a header row",
             cure=Cure(
                 f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from"
                 " the values it may read as follows (column numbers from 1; check it, and add"
                 " gains = [...] and torque_source if the torques are currents):\n\n"
-                f"{draft}\n",
-                sheet=name_fields(content),
+                f"{draft.text}\n",
+                sheet=draft.certain,
             ),
             file=table.source,
             value=count,
@@ -349,12 +344,11 @@ def find_table_layout(
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
         if "absent" in problem.fields and table.n_samples:
-            content, others = draft_sheet(table, model, options.rate or sheet.rate)
-            if "columns" in content:
-                draft = format_draft(content, others)
+            draft = draft_sheet(table, model, options.rate or sheet.rate)
+            if draft.decides:
                 problem.cure = Cure(
-                    f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n",
-                    sheet=name_fields(content),
+                    f"{problem.cure}. From the values it may read (check it):\n\n{draft.text}\n",
+                    sheet=draft.certain,
                 )
         raise
     if not (sheet.joint_units or table.open_units or table.ranges):
