@@ -204,6 +204,16 @@ def hold_last(times: NDArray[Any], sent: NDArray[Any], values: Array) -> tuple[A
     return values[np.maximum(last, 0)], [note] if before else []
 
 
+def measure_gaps(at: NDArray[Any], t: NDArray[Any]) -> NDArray[Any]:
+    """Return how far the samples at rising times t (M,) are apart around other times, shape (N,).
+
+    >>> measure_gaps(np.array([0.5, 2.0, 9.0]), np.array([0.0, 1.0, 4.0])).tolist()
+    [1.0, 3.0, 3.0]
+    """
+    after = np.clip(np.searchsorted(t, at), 1, t.size - 1)
+    return np.asarray(t[after] - t[after - 1])
+
+
 def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last
+from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last, measure_gaps
 from asbuilt.experiment.logs.formats.ros.messages import (
     FLAG,
     SPARSE,
@@ -117,10 +117,9 @@ def resample(
     if len(values) < 4 or not names:
         return out
     after = np.searchsorted(times, rows)
-    bounded = np.clip(after, 1, times.size - 1)
-    gap = times[bounded] - times[bounded - 1]
-    exact = times[np.clip(after, 0, times.size - 1)] == rows
-    inside = (rows >= times[0]) & (rows <= times[-1]) & ((gap <= SPARSE * period) | exact)
+    exact = times[np.minimum(after, times.size - 1)] == rows
+    near = measure_gaps(rows, times) <= SPARSE * period
+    inside = (rows >= times[0]) & (rows <= times[-1]) & (near | exact)
     start = times[0]
     t = (times - start) * 1e-9
     at = (rows[inside] - start) * 1e-9
