@@ -18,6 +18,7 @@ from functools import partial
 from itertools import permutations, product
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
@@ -121,13 +122,15 @@ def estimate_base_velocity(
     The velocity is the integral of the accelerometer, but for what it drifts by, which feet that
     stand say: `v = integral (R (f - b) + g) + v0`, and slow deviations from that.
     """
-    fallen = integrate(np.einsum("sij,sj->si", R, f) + gravity, 1.0 / rate)
+    dt = 1.0 / rate
+    acceleration = np.einsum("sij,sj->si", R, f) + gravity
+    fallen = cumulative_trapezoid(acceleration, dx=dt, axis=0, initial=0.0)
     own, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
     if known.size < rate:  # it hardly touches: the drift is not known, and no velocity enters
         return fallen, np.zeros(3)
     off = (fallen - np.einsum("sij,sj->si", R, own))[known]
-    turned = integrate(R.reshape(-1, 9), 1.0 / rate).reshape(-1, 3, 3)
+    turned = cumulative_trapezoid(R, dx=dt, axis=0, initial=0.0)
     start = np.broadcast_to(np.eye(3), (known.size, 3, 3))
     columns = np.concatenate([turned[known], start], axis=2)
     fit = np.linalg.lstsq(columns.reshape(-1, 6), off.ravel(), rcond=None)[0]
@@ -147,11 +150,6 @@ def select_slow_part(x: Array, frequency: float, rate: float) -> Array:
 
     width = rate / (2.0 * np.pi * frequency)
     return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
-
-
-def integrate(x: Array, dt: float) -> Array:
-    """Return the integral (N, m) from the first sample on, by trapezoids."""
-    return np.vstack([np.zeros(x.shape[1]), np.cumsum(0.5 * dt * (x[1:] + x[:-1]), axis=0)])
 
 
 def _level(R: Array, f: Array, feet: Feet, w: Array, rate: float) -> Array:
@@ -185,7 +183,7 @@ def _make_base_columns(
 
     `base_a` is the rate of change of the velocity in base axes, which is `R^T a - w x R^T v`.
     """
-    place = integrate(v, dt)
+    place = cumulative_trapezoid(v, dx=dt, axis=0, initial=0.0)
     own = np.einsum("sji,sj->si", R, v)
     a = f + np.einsum("sji,j->si", R, gravity) - np.cross(w, own)
     turn = Rotation.from_matrix(R).as_quat()
