@@ -74,6 +74,13 @@ def test_a_second_encoder_has_the_unit_of_its_joint(tmp_path: Path) -> None:
     np.testing.assert_allclose(ahead, np.tile([0.01, np.deg2rad(0.01)], (50, 1)))
 
 
+def test_a_joint_may_have_another_unit_than_the_rest(tmp_path: Path) -> None:
+    sheet = 'units = { position = "deg" }\njoint_units = { joint_2 = "rad" }'
+    recording = read_recording(log_with(tmp_path, sheet), model=MODEL)
+    np.testing.assert_allclose(recording.q[:, 0], np.deg2rad(0.1 * np.arange(50)))
+    np.testing.assert_allclose(recording.q[:, 1], -0.2 * np.arange(50))
+
+
 def test_signs_of_single_joints_turn_their_external_torques_too(tmp_path: Path) -> None:
     recording = read_recording(log_of_two_channels(tmp_path, "sign = [1, -1]"), model=MODEL)
     np.testing.assert_allclose(recording.tau, np.tile([1.0, -2.0], (50, 1)))

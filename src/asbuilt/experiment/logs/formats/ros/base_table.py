@@ -50,7 +50,6 @@ def add_base_states(
     columns = dict(table.columns)
     unread = dict(topics.unread)
     notes = list(table.notes)
-    frames: dict[str, str] = {}
     for topic, found in messages.items():
         both = is_stamped(states) and is_stamped(found)
         rows = read_times(states, both)
@@ -58,7 +57,6 @@ def add_base_states(
         names = max((each.names for each in found), key=len)
         complete = np.array([found[k].names == names for k in first])
         values = np.array([found[k].position for k in first[complete]])
-        frames |= found[0].frames
         if topics.types[topic] == FLAG:
             columns[f"contact_{name_contact(topic)}"] = hold_last(rows, times, values[:, 0])[0]
             continue
@@ -82,9 +80,7 @@ def add_base_states(
             if period > SLOWER * own:
                 notes.append(f"{rates}: motion above {0.5e9 / period:.3g} Hz is not in it")
     known = {name: table.known.get(name, ("", "")) for name in columns if name != "time"}
-    return replace(
-        table, columns=columns, known=known, unread=unread, notes=tuple(notes), frames=frames
-    )
+    return replace(table, columns=columns, known=known, unread=unread, notes=tuple(notes))
 
 
 def _measure_period(times: NDArray[np.int64]) -> float:

@@ -29,6 +29,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     JointMessage,
     Topics,
     is_stamped,
+    read_frames,
     read_times,
 )
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -45,7 +46,11 @@ def tabulate_joint_messages(topics: Topics, messages: Messages, sheet: Recording
         for role in ("states", "commands")
     )
     base = {each: _read_topic(topics, messages, each, "base") for each in topics.base}
-    return tabulate_joint_states(topics, states, commands, sheet, base)
+    frames: dict[str, str] = {}
+    for topic in topics.base:
+        for _, message in messages[topic][:1]:
+            frames |= read_frames(message)
+    return replace(tabulate_joint_states(topics, states, commands, sheet, base), frames=frames)
 
 
 def tabulate_joint_states(
