@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-import mujoco_oracle
 import numpy as np
 import pytest
 from pinocchio_oracle import random_robot
 
+import mujoco_oracle
 from asbuilt.description import LinkInertia, RobotModel, bundled_robot, robot_names
 from asbuilt.dynamics import forward_dynamics, inverse_dynamics
 from asbuilt.errors import InertiaError, MissingExtraError

@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import mujoco
-import mujoco_oracle
 import numpy as np
 import pytest
 from reload_oracle import as_if_identified
 
+import mujoco_oracle
 from asbuilt.description import (
     Joint,
     Link,
