@@ -124,13 +124,13 @@ def estimate_base_velocity(
     """
     dt = 1.0 / rate
     acceleration = np.einsum("sij,sj->si", R, f) + gravity
-    fallen = cumulative_trapezoid(acceleration, dx=dt, axis=0, initial=0.0)
+    fallen = cumulative_trapezoid(acceleration, dx=dt, axis=0, initial=0)
     own, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
     if known.size < rate:  # it hardly touches: the drift is not known, and no velocity enters
         return fallen, np.zeros(3)
     off = (fallen - np.einsum("sij,sj->si", R, own))[known]
-    turned = cumulative_trapezoid(R, dx=dt, axis=0, initial=0.0)
+    turned = cumulative_trapezoid(R, dx=dt, axis=0, initial=0)
     start = np.broadcast_to(np.eye(3), (known.size, 3, 3))
     columns = np.concatenate([turned[known], start], axis=2)
     fit = np.linalg.lstsq(columns.reshape(-1, 6), off.ravel(), rcond=None)[0]
@@ -183,7 +183,7 @@ def _make_base_columns(
 
     `base_a` is the rate of change of the velocity in base axes, which is `R^T a - w x R^T v`.
     """
-    place = cumulative_trapezoid(v, dx=dt, axis=0, initial=0.0)
+    place = cumulative_trapezoid(v, dx=dt, axis=0, initial=0)
     own = np.einsum("sji,sj->si", R, v)
     a = f + np.einsum("sji,j->si", R, gravity) - np.cross(w, own)
     turn = Rotation.from_matrix(R).as_quat()

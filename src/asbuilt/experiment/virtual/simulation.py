@@ -266,7 +266,7 @@ def run_free(
         potential=potential - potential[0],
         work=np.concatenate([[0.0], np.cumsum(np.sum(tau[:-1] * np.diff(q, axis=0), axis=1))]),
         dissipated=np.asarray(
-            cumulative_trapezoid(np.sum((friction + offset) * qd, axis=1), t, initial=0.0)
+            cumulative_trapezoid(np.sum((friction + offset) * qd, axis=1), t, initial=0)
         ),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -262,7 +262,8 @@ def _assign_roles(
     later; it is none of the other groups. Those of `torques` are torques by their names.
     """
     motions = [k for k in range(len(groups)) if k not in torques]
-    moving = _find_derivative_pair(t, groups, motions)
+    follows = _correlate_derivatives(t, groups)
+    moving = _find_derivative_pair(follows, motions, motions)
     # Difference of two groups, relative to their spread, up to which one is the command of the
     # other.
     close = [
@@ -273,7 +274,7 @@ def _assign_roles(
     ]
     known: int | None = None
     command: int | None = None
-    velocities = _list_derivatives(t, groups, moving)
+    velocities = [] if moving is None else np.flatnonzero(follows[moving[0]] > FOLLOWS).tolist()
     if len(close) == 1:
         i, k = close[0]
         # With two velocities, measured and commanded, both positions have a derivative.
@@ -284,7 +285,7 @@ def _assign_roles(
         command = k if known == i else i
     rest = [k for k in range(len(groups)) if k != command]
     free = [k for k in rest if k not in torques]
-    pair = _find_derivative_pair(t, groups, free if known is None else [known], free)
+    pair = _find_derivative_pair(follows, free if known is None else [known], free)
     if pair is not None and command is not None and len(velocities) == 2:
         # Measured and commanded quantities stand in the same order.
         pair = (pair[0], velocities[int(pair[0] > command)])
@@ -352,22 +353,21 @@ def _find_largest(values: Array) -> float:
     return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
 
 
+def _correlate_derivatives(t: Array, groups: Sequence[Array]) -> Array:
+    """Return how the derivative of each group (row) is followed by each other one, (K, K)."""
+    found = np.zeros((len(groups), len(groups)))
+    for i, k in permutations(range(len(groups)), 2):
+        found[i, k] = _correlate_derivative(t, groups[i], groups[k])
+    return np.nan_to_num(found)
+
+
 def _find_derivative_pair(
-    t: Array, groups: list[Array], first: Sequence[int], second: Sequence[int] | None = None
+    follows: Array, first: Sequence[int], second: Sequence[int]
 ) -> tuple[int, int] | None:
     """Return the groups of which the second follows the derivative of the first best, if any."""
-    pairs = [(i, k) for i in first for k in (first if second is None else second) if i != k]
-    found = [(_correlate_derivative(t, groups[i], groups[k]), (i, k)) for i, k in pairs]
-    best = max(found, key=lambda each: np.nan_to_num(each[0]), default=(0.0, (0, 0)))
-    return best[1] if best[0] > FOLLOWS else None
-
-
-def _list_derivatives(t: Array, groups: list[Array], moving: tuple[int, int] | None) -> list[int]:
-    """Return the groups that follow the derivative of the positions that move."""
-    if moving is None:
-        return []
-    q = groups[moving[0]]
-    return [k for k in range(len(groups)) if _correlate_derivative(t, q, groups[k]) > FOLLOWS]
+    pairs = ((i, k) for i in first for k in second)
+    best = max(pairs, key=lambda pair: follows[pair], default=None)
+    return best if best is not None and follows[best] > FOLLOWS else None
 
 
 def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:

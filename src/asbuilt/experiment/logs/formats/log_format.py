@@ -246,11 +246,9 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
             complex_ = " (complex)" if np.iscomplexobj(array) else ""
             left_out.append(f"{name} {array.shape}{complex_}")
             continue
-        values = array.astype(np.float64)
-        rows = values.T if values.shape[0] == length else values
-        vectors = [rows] if values.ndim == 1 else [np.ascontiguousarray(row) for row in rows]
-        names = [name] if values.ndim == 1 else [f"{name}_{k + 1}" for k in range(len(rows))]
-        columns |= zip(names, vectors, strict=True)
+        rows = np.atleast_2d(array.T if array.shape[0] == length else array).astype(np.float64)
+        names = [name] if array.ndim == 1 else [f"{name}_{k + 1}" for k in range(len(rows))]
+        columns |= zip(names, map(np.ascontiguousarray, rows), strict=True)
     listed = ", ".join(left_out)
     notes = (f"variables without the common length {length} were left out: {listed}",)
     return LogTable(source=source, columns=columns, notes=notes if left_out else ())
