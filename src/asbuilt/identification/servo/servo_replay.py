@@ -34,7 +34,7 @@ from asbuilt.identification.servo.servo_rows import (
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import DriveSignal, SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
+from asbuilt.identification.uncertainty.pose_noise import MeanScores
 
 # Settings of a replay: own choices.
 
@@ -57,7 +57,7 @@ class Replay:
     noise of `copies` copies changes, as many for each.
     """
 
-    scores: ExpectedScores
+    scores: MeanScores
     weighted: tuple[Array, ...]
     draws: tuple[Array, ...]
     copies: int
@@ -146,7 +146,7 @@ def replay(
     )
     joints = range(model.n_joints)
     return Replay(
-        ExpectedScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
+        MeanScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
         tuple(_average_scores(every, k, weighted=True) for k in joints),
         tuple(np.concatenate([_measure_noise_changes(pair, k) for pair in copies]) for k in joints),
         2 * pairs,
