@@ -161,4 +161,4 @@ def _propagate_arm_covariance(
     """Return the covariance that the bare arm's covariance causes, along the present motion."""
     p = result.n_base
     slope = columns.pseudo_inverse @ sum(block[:, chosen].T @ block[:, :p] for block in rows.blocks)
-    return np.asarray(slope @ result.covariance @ slope.T)
+    return slope @ result.covariance @ slope.T

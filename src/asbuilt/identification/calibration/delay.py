@@ -182,7 +182,7 @@ class DelayEstimate:
     def applied(self) -> Mask:
         """Which delays are applied, (R,): above 2 standard errors, and certain or helpful."""
         sure = np.abs(self.estimates) > RULES.significant * self.std_errors
-        return np.asarray(sure & (self.certain | bool(self.helps)))
+        return sure & (self.certain | bool(self.helps))
 
 
 def find_delays(

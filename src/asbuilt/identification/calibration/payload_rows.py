@@ -228,7 +228,7 @@ def derive_gain_errors(
         return usual
     if source != "current" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
         usual = np.maximum(usual, UNCALIBRATED)
-    return np.asarray(np.hypot(usual, doubted))
+    return np.hypot(usual, doubted)
 
 
 def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
@@ -248,7 +248,7 @@ def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> t
 def gain_covariance(uncertainty: Array) -> Array:
     """Return the covariance (n, n) of gains, a third of the variance common to all joints."""
     n = len(uncertainty)
-    return np.asarray(np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON))
+    return np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON)
 
 
 def parse_gain_uncertainty(text: str | None) -> list[float] | None:

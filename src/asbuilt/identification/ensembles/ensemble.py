@@ -263,7 +263,7 @@ class Ensemble:
     @property
     def quantiles(self) -> Array:
         """The 5, 50 and 95 % quantiles of each column, shape (3, columns)."""
-        return np.asarray(np.quantile(self.table, QUANTILES, axis=0))
+        return np.quantile(self.table, QUANTILES, axis=0)
 
     @property
     def moved(self) -> int:
@@ -376,7 +376,7 @@ def _draw_tails(result: IdentificationResult, n: int, random: np.random.Generato
     nu = max(mean_degrees(result.degrees_of_freedom), FEWEST_DEGREES)
     if not np.isfinite(nu):
         return np.ones(n)
-    return np.asarray(np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu])))
+    return np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu]))
 
 
 def _scale_draws(result: IdentificationResult, drawn: Array, factors: Array) -> Array:

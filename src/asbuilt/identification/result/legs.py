@@ -277,4 +277,4 @@ def _build_rows(
     rolling = np.einsum("sck,sckj->sj", pressed[:, :, None] * roll, J[:, :, 3:5])
     whole = np.concatenate([W, np.stack([torsional, rolling, left], axis=2)], axis=2)
     whole -= np.einsum("smj,snm,snc->sjc", across, back, whole, optimize=True)
-    return np.asarray(whole / noise[:, None])
+    return whole / noise[:, None]

@@ -318,7 +318,7 @@ class IdentificationResult:
     @property
     def weights(self) -> Array:
         """One over the standard deviation of each joint's torque residual, (n,); always finite."""
-        return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
+        return 1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny)
 
     @property
     def result(self) -> IdentificationResult:
@@ -376,7 +376,7 @@ class IdentificationResult:
     def tvalues(self) -> Array:
         """Estimates in standard errors, shape (p,); NaN for dropped parameters."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.estimates / self.std_errors)
+            return self.estimates / self.std_errors
 
     def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
         """Return confidence intervals, shape (p, 2), by Student's distribution.

@@ -250,7 +250,7 @@ def estimate_position_noise(recording: Recording) -> Array:
     high = np.fft.rfftfreq(REPLAY_WINDOW, 0.5) > REPLAY_ABOVE
     parts = [np.mean(density[high], axis=0) for density in spectra]
     weights = [rows.size for rows in runs]
-    return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
+    return np.sqrt(np.average(parts, axis=0, weights=weights))
 
 
 def _add_noise(
@@ -307,4 +307,4 @@ def _measure_noise_changes(copies: Sequence[_Copy], k: int) -> Array:
     if len({copy.rows.n_blocks for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
     sums = np.array([sum_clusters(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
-    return np.asarray(np.concatenate(sums - sums.mean(axis=0)))
+    return np.concatenate(sums - sums.mean(axis=0))

@@ -365,7 +365,7 @@ def sum_clusters(scores: Array, rows: Equations) -> Array:
     sources = np.array([block.source for block in rows.blocks])
     # A cluster ends with its recording: residuals of two are not correlated.
     firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
-    return np.asarray(np.add.reduceat(scores, firsts))
+    return np.add.reduceat(scores, firsts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -351,7 +351,7 @@ class Objective:
         to_z = self._derive_parameters(point)[:, self.free]
         root = np.linalg.cholesky(quadratic.matrix[np.ix_(self.free, self.free)])
         spread = np.linalg.solve(root, to_z.T)
-        return np.asarray(spread.T @ spread)
+        return spread.T @ spread
 
     def drive_errors(self, quadratic: Quadratic) -> Array:
         """Return the standard errors (n, columns_per_joint) of the drive parameters."""

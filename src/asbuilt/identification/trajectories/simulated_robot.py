@@ -82,14 +82,14 @@ class DriveSignal:
             return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
         t, sums = self._sums
         integrals = np.stack([np.interp(edges, t, x) for x in sums], axis=-1)
-        return np.asarray(np.diff(integrals, axis=1) / step)
+        return np.diff(integrals, axis=1) / step
 
     def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
         """Return the derivative of `means` of a held signal by the delay, shape (W, steps, n)."""
         edges = starts[:, None] + step * np.arange(steps + 1) - delay
         times, values = self._held
         at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 1)
-        return np.asarray(-np.diff(values[at], axis=1) / step)
+        return -np.diff(values[at], axis=1) / step
 
 
 def select_finite(t: Array, values: Array) -> tuple[Array, Array]:

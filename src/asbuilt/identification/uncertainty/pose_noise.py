@@ -100,7 +100,7 @@ class MeanScores:
             score = self.of_parameters(k, [information.base.names[j] for j in support])
             side[support] += weight**2 * information.n_samples * score
         root = estimate.solution.inverse_root
-        return np.asarray(root @ (root.T @ side))
+        return root @ (root.T @ side)
 
     def doubt(self, information: SquareRootInformation, estimate: Estimate) -> Array:
         """Return the covariance (p, p) of an estimate by the error of what was taken away."""
