@@ -21,7 +21,8 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
-    LIMITS,
+    FURTHER_SECONDS,
+    WELL,
     Advice,
     best_motions,
     error_ratios,
@@ -73,7 +74,7 @@ def _advise_motion(result: IdentificationResult, samples: Sequence[Samples]) -> 
         "weak_excitation",
         "warning",
         f"This motion leaves {weak} of {result.n_base} parameters with errors above"
-        f" {100 * LIMITS.well:g} %; {LIMITS.seconds:g} s {', and '.join(parts)}",
+        f" {100 * WELL:g} %; {FURTHER_SECONDS:g} s {', and '.join(parts)}",
         Cure("record that too, and identify from all logs together"),
     )
 
