@@ -87,7 +87,7 @@ def identify_added_moments(
     name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
     start = np.concatenate([result.estimates, np.zeros(10)])
-    rows = PayloadRows.of(result, loaded, unloaded, link, shift_matrix(placement), start, None)
+    rows = PayloadRows.of(result, loaded, unloaded, link, shift_matrix(placement), start)
     groups = _group_blocks(rows)
     if len(groups) < FEWEST_BLOCKS:
         raise IdentifiabilityError(
