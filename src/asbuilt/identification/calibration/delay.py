@@ -40,20 +40,26 @@ Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
 
 
-def predicts_better(
+HELPFUL = 2.0
+"""Standard errors by which the error on other motions must fall. Own choice, from recordings of four
+real robots, whole and two thirds of each: in ten sets delays of 18 to 62 ms exceeded 2 of their own
+standard errors. Eight sets fail here; applied, those delays change the error on other recordings by
+-18 to +51 %, by +16 % on average. The other two, of the fast log of the Med 7, lower it by 1 and
+2 %."""
+
+
+def measure_delay_relief(
     model: RobotModel,
     base: BaseParameters,
     weights: Array,
     before: Sequence[Samples],
     after: Sequence[Samples],
-    *,
-    block_seconds: float | None = None,
-) -> bool:
-    """Return whether shifted torques are predicted better on groups of different motion.
+) -> tuple[float, float] | None:
+    """Return the log of the fall of the squared error on other motions, and its standard error.
 
-    Links near CAD (or plain least squares, where CAD has no masses) are fitted to the other groups
-    and predict each group, with torques as logged and shifted back. False if there are fewer than
-    three groups, which prove nothing.
+    Links near CAD (or plain least squares, where CAD has no masses) are fitted to all groups of
+    motion but one and predict that one, with torques as logged and shifted back. None if there are
+    fewer than three groups, which prove nothing, or no fit to one of them.
 
     Parameters
     ----------
@@ -63,35 +69,8 @@ def predicts_better(
         Weights of the joints (n,).
     before, after
         Samples with torques as logged, and shifted back.
-    block_seconds
-        Length of the time blocks [s].
     """
-    relief = measure_delay_relief(model, base, weights, before, after, block_seconds=block_seconds)
-    # Standard errors by which the error on other motions must fall. Own choice, from recordings of
-    # four real robots, whole and two thirds of each: in ten sets delays of 18 to 62 ms exceeded 2
-    # of their own standard errors. Eight sets fail here; applied, those delays change the error on
-    # other recordings by -18 to +51 %, by +16 % on average. The other two, of the fast log of the
-    # Med 7, lower it by 1 and 2 %.
-    return relief is not None and relief[0] > 2.0 * relief[1]
-
-
-def measure_delay_relief(
-    model: RobotModel,
-    base: BaseParameters,
-    weights: Array,
-    before: Sequence[Samples],
-    after: Sequence[Samples],
-    *,
-    block_seconds: float | None = None,
-) -> tuple[float, float] | None:
-    """Return the log of the fall of the squared error on other motions, and its standard error.
-
-    None if there are fewer than three groups of motion, or no fit to one of them.
-    """
-    as_logged, shifted = (
-        accumulate_stream(model, base, samples, block_seconds=block_seconds)
-        for samples in (before, after)
-    )
+    as_logged, shifted = (accumulate_stream(model, base, samples) for samples in (before, after))
     with use_one_blas_thread():
         groups = group_different_motions(shifted, weights)
         # Groups below which held-out errors have no usable standard error.
@@ -182,7 +161,6 @@ def find_delays(
     *,
     drive: DriveSet,
     count: int,
-    block_seconds: float | None = None,
 ) -> DelayEstimate:
     """Estimate the delay of the torque: of recordings if they differ, and of joints if these do.
 
@@ -204,10 +182,8 @@ def find_delays(
         Linear drive terms of the fit, friction among them.
     count
         Number of recordings R.
-    block_seconds
-        Length of the time blocks [s].
     """
-    fits = _Fits(model, prepare, drive, count, block_seconds)
+    fits = _Fits(model, prepare, drive, count)
     n = model.n_joints
     # All joints of a recording share one delay, and all recordings unless they differ.
     each = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
@@ -257,18 +233,10 @@ def find_delays(
 class _Fits:
     """Fit recordings with delays; the latest normal equations are kept."""
 
-    def __init__(
-        self,
-        model: RobotModel,
-        prepare: Prepare,
-        drive: DriveSet,
-        count: int,
-        block_seconds: float | None,
-    ) -> None:
+    def __init__(self, model: RobotModel, prepare: Prepare, drive: DriveSet, count: int) -> None:
         self.model = model
         self.count = count
         self._prepare = prepare
-        self._block_seconds = block_seconds
         self._base = find_base_parameters(model, drive)
         self._design = design_values(model, self._base)
         self._known: Rows | None = None
@@ -280,9 +248,8 @@ class _Fits:
         after = self._shift_samples(delays)
         before = self._shift_samples(np.zeros(self.count))
         weights = self._fit_plain(self._take_rows(after)).weights
-        return predicts_better(
-            self.model, self._base, weights, before, after, block_seconds=self._block_seconds
-        )
+        relief = measure_delay_relief(self.model, self._base, weights, before, after)
+        return relief is not None and relief[0] > HELPFUL * relief[1]
 
     def _shift_samples(self, delays: Array) -> Sequence[Samples]:
         of_recordings = delays.reshape(self.count, -1)
@@ -291,7 +258,7 @@ class _Fits:
     def _take_rows(self, samples: Sequence[Samples]) -> Rows:
         """Return the rows of samples; only their torque is new where the motion is as before."""
         if self._known is None or not self._known.take_torque(samples):
-            self._known = Rows(self.model, self._base, samples, self._block_seconds)
+            self._known = Rows(self.model, self._base, samples)
             self._columns = None
         return self._known
 
@@ -311,14 +278,8 @@ class _Fits:
         bands = [sample.parallel.cutoff for sample in samples if sample.parallel]
         self.longest = LONGEST_STEP / min(bands) if bands else LONGEST_STEP
         rows = self._take_rows(samples)
-        return build_delay_columns(
-            self.model,
-            self._base,
-            self._fit_plain(rows),
-            samples,
-            block_seconds=self._block_seconds,
-            rows=rows,
-        )
+        estimate = self._fit_plain(rows)
+        return build_delay_columns(self.model, self._base, estimate, samples, rows=rows)
 
     def settle(
         self, delays: Array, shares: Array, free: int | None = None
