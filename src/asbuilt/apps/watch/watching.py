@@ -21,7 +21,6 @@ from asbuilt.apps.watch.watch_findings import (
 )
 from asbuilt.apps.watch.watched_log import POINTS, Trace, WatchedLog
 from asbuilt.arrays import Array, Mask
-from asbuilt.description import refuse_free_base
 from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment import (
     TOO_LITTLE,
@@ -223,10 +222,8 @@ def watch(
     options = options or WatchOptions()
     report = progress or (lambda what, fraction: None)
     result = result.result
-    refuse_free_base(
-        result.robot,
-        result.model.n_floating,
-        "forces that its feet exert count as external torque; watching one is not possible yet",
+    result.model.require_root(
+        "forces that its feet exert count as external torque; watching one is not possible yet"
     )
     choose_payload_frame(result.model, options.frame)
     log = require_logged(as_recordings(result.model, [recording])[0])
@@ -276,10 +273,8 @@ def make_stream_observer(
         If there are neither: a stream cannot set its own, since what comes is not known.
     """
     options = options or WatchOptions()
-    refuse_free_base(
-        result.robot,
-        result.model.n_floating,
-        "forces that its feet exert count as external torque; watching one is not possible yet",
+    result.model.require_root(
+        "forces that its feet exert count as external torque; watching one is not possible yet"
     )
     robot = result if options.model == "as_built" else result.model
     if thresholds is not None:
