@@ -341,14 +341,14 @@ def _report_outlying(rollout: Rollout, length: str) -> Iterator[Finding]:
         "warning",
         f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
         f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
-        f" {join_names(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
-        f" mrad instead of {_format_size(rollout.as_built)}",
+        f" {join_names(places, 4)}. Without them it is {rollout.regular.text}"
+        f" instead of {_format_size(rollout.as_built)}",
         Cure("look at these times; exclude contact from the recording"),
     )
 
 
 def _format_size(errors: RolloutErrors) -> str:
-    return "one that diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} mrad"
+    return "one that diverges" if errors.diverged else errors.text
 
 
 def _name_model(name: str) -> str:
