@@ -382,12 +382,13 @@ def compare_results(
         if of_models
         else put_on_equal_terms(before, after)
     )
-    difference = second.estimates[two] - first.estimates[one]
-    between = Between(first, second, one, two)
+    first = first.at(one)
+    second = second.at(two)
+    between = Between(first, second)
+    difference = between.difference
     error = between.std_errors
-    dropped = first.dropped[one] | second.dropped[two]
-    determined = first.determined[one] & second.determined[two]
-    tested = determined & ~dropped & (error > 0)
+    dropped = first.dropped | second.dropped
+    tested = first.determined & second.determined & ~dropped & (error > 0)
     tests = compare_each(difference, error, between.degrees_of_freedom, tested)
     changed = tests[2] <= level
     felt: list[dict[str, Any]] = [{} for _ in names]
@@ -419,16 +420,16 @@ def compare_results(
             expression=after.base.expressions[j],
             unit=after.base.units[j],
             words=texts[j],
-            before=float(first.estimates[i]),
-            before_error=float(first.std_errors[i]),
-            after=float(second.estimates[j]),
-            after_error=float(second.std_errors[j]),
+            before=float(first.estimates[place]),
+            before_error=float(first.std_errors[place]),
+            after=float(second.estimates[place]),
+            after_error=float(second.std_errors[place]),
             changed=bool(changed[place]),
             dropped=bool(dropped[place]),
             **dict(zip(TESTS, make_plain(tests[:, place]), strict=True)),
             **felt[place],
         )
-        for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
+        for place, (name, j) in enumerate(zip(names, two, strict=True))
     )
     titles = labels or tuple(
         ", ".join(recording_name(source) for source in result.sources) for result in (before, after)
