@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class ParameterTest:
     shared_with: tuple[str, ...] = ()
 
 
+Tested = TypeVar("Tested", bound=ParameterTest)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedParameter(ParameterTest):
     """Hold one base parameter by design and as built; what is unknown is None.
@@ -103,11 +106,18 @@ def _show_outcome(parameter: ComparedParameter) -> Cell:
     return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
 
 
-COLUMNS = (
+NAMES = (
     Column("id", align="right", of="id"),
     Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
     Column("description", detail=True, of="words"),
     Column("unit", of="unit"),
+)
+"""Columns that say which parameter a row is of."""
+RELEVANCE = Column(
+    "matters", detail=True, of=lambda p: describe_relevance(p.matters, p.shared_with)
+)
+COLUMNS = (
+    *NAMES,
     Column(
         "CAD",
         align="decimal",
@@ -136,7 +146,7 @@ TORQUE_COLUMNS = (
         detail=True,
         of=lambda p: f"{1 + int(np.argmax(p.torque))}" if p.torque_total else "",
     ),
-    Column("matters", detail=True, of=lambda p: describe_relevance(p.matters, p.shared_with)),
+    RELEVANCE,
 )
 """Further columns where the torque of differences is known."""
 
@@ -152,9 +162,7 @@ def tabulate_parameters(
     columns: tuple[Column, ...] = COLUMNS
     details = [errors] if errors else []
     if any(parameter.torque_total is not None for parameter in parameters):
-        unit = "N m" if set(units) <= {"N m"} else "N m, N"
-        torque = Column("torque", unit, "decimal", 3, of="torque_total")
-        columns = (*COLUMNS, torque, *TORQUE_COLUMNS)
+        columns = (*COLUMNS, make_torque_column(units), *TORQUE_COLUMNS)
         details.append(
             "torque: RMS over all joints of the torque of the difference on the validation motion;"
             " its own: the part that no other parameter can make up for; joint: the one with the"
@@ -184,6 +192,17 @@ def tabulate_parameters(
         details=tuple(details),
         important=tuple(most[:MOST_PARAMETERS]),
     )
+
+
+def make_torque_column(units: Sequence[str]) -> Column:
+    """Return the column of the torque of differences, for joints with these torque units."""
+    unit = "N m" if set(units) <= {"N m"} else "N m, N"
+    return Column("torque", unit, "decimal", 3, of="torque_total")
+
+
+def rank_by_torque(parameters: Sequence[Tested]) -> tuple[Tested, ...]:
+    """Return parameters, those whose difference has the most torque first."""
+    return tuple(sorted(parameters, key=lambda p: (-(p.torque_total or 0.0), p.id)))
 
 
 def describe_relevance(matters: bool | None, shared_with: Sequence[str]) -> str:

@@ -21,6 +21,7 @@ from asbuilt.validation.comparison.compared_parameter import (
     ComparedParameter,
     Verdict,
     describe_parameters,
+    rank_by_torque,
     tabulate_parameters,
 )
 from asbuilt.validation.comparison.equal_terms import select_tested_values
@@ -96,12 +97,7 @@ class Comparison:
     @property
     def ranked(self) -> tuple[ComparedParameter, ...]:
         """The parameters, those whose difference changes the torque most first."""
-        return tuple(
-            sorted(
-                self.parameters,
-                key=lambda parameter: (-(parameter.torque_total or 0.0), parameter.id),
-            )
-        )
+        return rank_by_torque(self.parameters)
 
     def relevance(self) -> str:
         """Return of how many differences the torque is their own; nothing if that is unknown."""

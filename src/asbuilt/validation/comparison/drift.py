@@ -12,7 +12,7 @@ from asbuilt.codec import make_plain
 from asbuilt.errors import ResultError
 from asbuilt.findings import join_names
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
+from asbuilt.identification.result.summary import DROPPED, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
     Column,
@@ -27,9 +27,12 @@ from asbuilt.tables import (
 )
 from asbuilt.tables import format_share as percentage
 from asbuilt.validation.comparison.compared_parameter import (
+    NAMES,
+    RELEVANCE,
     ParameterTest,
     describe_parameters,
-    describe_relevance,
+    make_torque_column,
+    rank_by_torque,
 )
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, put_on_equal_terms
@@ -192,17 +195,19 @@ class Drift:
         return sum(parameter.changed for parameter in self.parameters)
 
     @property
+    def n_compared(self) -> int:
+        """Number of parameters that both determine with an error."""
+        return sum(parameter.sigmas is not None for parameter in self.parameters)
+
+    @property
     def ranked(self) -> tuple[ParameterChange, ...]:
         """The parameters, those whose change has the most torque first."""
-        return tuple(
-            sorted(self.parameters, key=lambda change: (-(change.torque_total or 0.0), change.id))
-        )
+        return rank_by_torque(self.parameters)
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
-        compared = sum(parameter.sigmas is not None for parameter in self.parameters)
         return (
-            f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate"
+            f"{self.n_changed} of {self.n_compared} parameters {self._changed} (false discovery rate"
             f" {percentage(self.level, 0)}); all at once: {self.chi_square.text}."
         )
 
@@ -221,10 +226,7 @@ class Drift:
         names = (self.before, self.after) if self.of_models else ("before", "after")
         change, which = ("difference", "second") if self.of_models else ("change", "later")
         columns = (
-            Column("id", align="right", of="id"),
-            Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
-            Column("description", detail=True, of="words"),
-            Column("unit", of="unit"),
+            *NAMES,
             Column(
                 names[0],
                 align="decimal",
@@ -243,19 +245,9 @@ class Drift:
                 of=lambda change: format_estimate(change.after, change.error)[1],
             ),
             Column(change, align="right", of=self._show_outcome),
-            Column(
-                "torque",
-                "N m" if {*self.units} <= {"N m"} else "N m, N",
-                "decimal",
-                3,
-                of="torque_total",
-            ),
+            make_torque_column(self.units),
             Column("joint", align="right", detail=True, of=lambda change: change.felt_at or ""),
-            Column(
-                "matters",
-                detail=True,
-                of=lambda change: describe_relevance(change.matters, change.shared_with),
-            ),
+            RELEVANCE,
         )
         note = (
             f"std err: of the {change}; torque: RMS over all joints on the validation motion of the"
