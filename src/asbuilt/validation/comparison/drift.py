@@ -207,8 +207,8 @@ class Drift:
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         return (
-            f"{self.n_changed} of {self.n_compared} parameters {self._changed} (false discovery rate"
-            f" {percentage(self.level, 0)}); all at once: {self.chi_square.text}."
+            f"{self.n_changed} of {self.n_compared} parameters {self._changed} (false discovery"
+            f" rate {percentage(self.level, 0)}); all at once: {self.chi_square.text}."
         )
 
     @property
