@@ -22,7 +22,7 @@ from asbuilt.codec import make_plain
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.registry import Registry
 from asbuilt.validation import Recovery, ResidualAnalysis, Validation, VelocityCurve, recording_name
-from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_result import Study
 from asbuilt.writers.figures.figure_style import thin_curves
 from asbuilt.writers.reports.page import Block, read_resource, render_page
 from asbuilt.writing import atomic_write
