@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.description.structure.locking import report_locks
@@ -61,6 +59,7 @@ from asbuilt.validation.generalisation.coverage import (
 )
 from asbuilt.validation.generalisation.generalisation import (
     check_validations,
+    measure_error_shares,
     report_nameless,
     report_unexplained,
 )
@@ -376,7 +375,8 @@ def conclude_study(
         finding for finding in findings if (finding.effect, finding.joint) not in modelled
     )
     # What was validated decides which joint's error matters, training only without it.
-    shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
+    metrics = (*validations, *trained)[0].metrics_as_built
+    shares = dict(zip(metrics.joint_names, measure_error_shares(metrics).tolist(), strict=True))
     return Study(
         result,
         consolidate_findings(findings, shares),
@@ -405,14 +405,6 @@ def _find_foot_moments(fits: Fits) -> FootMoments | None:
 
     final = fits.final
     return find_foot_moments(fits.model, final.information, final.estimate, fits.samples)
-
-
-def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:
-    """Return the share of the squared torque error at each joint with a torque channel, by name."""
-    # Exact torques have no error to share.
-    energy = np.nan_to_num(metrics.rms**2)
-    shares = energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
-    return dict(zip(metrics.joint_names, shares.tolist(), strict=True))
 
 
 def _report_validation(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -358,34 +359,23 @@ def _name_model(name: str) -> str:
 def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
     unit = joint_unit(model.joints)
-    cad = rollout.cad
-    built = rollout.as_built
-    errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
-    ends = {"end, as built": built, "end, CAD": cad}
-    values = {
-        **{
-            name: None if errors_of is None else errors_of.rms for name, errors_of in errors.items()
-        },
-        **{
-            name: None if errors_of is None else errors_of.final for name, errors_of in ends.items()
-        },
-    }
-    rows = tuple(
-        (
-            name,
-            *(
-                None if joint_errors is None else format_in_milli(float(joint_errors[k]))
-                for joint_errors in values.values()
-            ),
-        )
-        for k, name in enumerate(model.joint_names)
-    )
+    simulated = {"as built": rollout.as_built, "CAD": rollout.cad}
+    compared = simulated | {"command": rollout.no_physics, "repeat": rollout.floor}
+    values = {name: errors.rms for name, errors in compared.items() if errors is not None}
+    ends = {f"end, {name}": errors.final for name, errors in simulated.items() if errors}
     columns = (
-        Column("joint", width=20),
-        *(Column(name, unit, "decimal", detail=name in ends) for name in values),
+        Column("joint", width=20, of=model.joint_names.__getitem__),
+        *(
+            Column(name, unit, "decimal", detail=name in ends, of=partial(_show_joint, joints))
+            for name, joints in (values | ends).items()
+        ),
     )
     title = f"Position error of rollouts of {rollout.horizon:g} s, held out"
-    return Table(columns, rows, title).filled()
+    return Table.of(range(model.n_joints), columns, title)
+
+
+def _show_joint(errors: Array, k: int) -> Cell:
+    return format_in_milli(float(errors[k]))
 
 
 def format_in_milli(value: float | None) -> Cell:
