@@ -49,6 +49,7 @@ from asbuilt.validation import (
     recording_name,
     study_verdict,
 )
+from asbuilt.validation.attribution.attribute import can_attribute
 from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
@@ -317,8 +318,7 @@ def conclude_study(
     )
     bounded = bound_effects(result, effects)
     result = result.with_effects(tuple(as_by_encoders(effect, result) for effect in bounded))
-    mixed = fits.model.mixes_joints
-    attribution = None if cause_data is None or mixed else attribute(result)
+    attribution = attribute(result) if can_attribute(result) else None
     if attribution and options.wanted_effects.named:
         result = result.with_effects((*result.effects, *attribution.bodies))
     validations = tuple(
@@ -362,7 +362,7 @@ def conclude_study(
         *report_cad_verdicts(validations),
         *report_springs(result),
     )
-    if mixed:
+    if fits.model.mixes_joints:
         from asbuilt.identification.result.legs import (  # noqa: PLC0415 - light start
             with_leg_findings,
         )
