@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -27,10 +28,11 @@ from asbuilt.tables import (
 )
 from asbuilt.tables import format_share as percentage
 from asbuilt.validation.comparison.compared_parameter import (
+    FELT_AT,
     NAMES,
     RELEVANCE,
     ParameterTest,
-    describe_parameters,
+    list_tests,
     make_torque_column,
     rank_by_torque,
 )
@@ -41,7 +43,6 @@ from asbuilt.validation.comparison.torque_change import (
     JointChange,
     derive_joint_changes,
     describe_torque_changes,
-    evaluate_torque_cost,
     tabulate_joint_changes,
 )
 from asbuilt.validation.prediction import derive_cad_values, torque_units
@@ -56,7 +57,6 @@ class ParameterChange(ParameterTest):
 
     | attribute | meaning |
     |---|---|
-    | `felt_at` | the joint with most of the torque of the change |
     | `changed` | whether it changed significantly |
     | `dropped` | whether a result set it to zero, without an error; it is not tested |
     """
@@ -65,7 +65,6 @@ class ParameterChange(ParameterTest):
     before_error: float
     after: float
     after_error: float
-    felt_at: int | None = None
     changed: bool
     dropped: bool = False
 
@@ -113,7 +112,7 @@ def describe_dropped(dropped: Mask) -> tuple[str, ...]:
 
 def describe_friction_changes(
     result: IdentificationResult,
-    changes: tuple[ParameterChange, ...],
+    changes: Sequence[ParameterChange],
     models: tuple[str, ...] | None,
 ) -> tuple[str, ...]:
     """Return how the drive terms of every joint changed."""
@@ -155,8 +154,6 @@ def _describe_change(change: ParameterChange, models: tuple[str, ...] | None) ->
 
 
 MOST_SENTENCES = 4
-TESTS = ("sigmas", "p_value", "false_discovery", "holm")
-"""Fields of a parameter in the order of `compare_each`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -246,7 +243,7 @@ class Drift:
             ),
             Column(change, align="right", of=self._show_outcome),
             make_torque_column(self.units),
-            Column("joint", align="right", detail=True, of=lambda change: change.felt_at or ""),
+            FELT_AT,
             RELEVANCE,
         )
         note = (
@@ -317,7 +314,7 @@ class Drift:
             "sentences": list(self.sentences),
             "torque": [asdict(joint) for joint in self.joints],
             "parameters": [
-                asdict(change) | {"shared_with": list(change.shared_with)} for change in self.ranked
+                dict(make_plain(change)) | {"felt_at": change.felt_at} for change in self.ranked
             ],
         }
 
@@ -383,46 +380,27 @@ def compare_results(
     tested = first.determined & second.determined & ~dropped & (error > 0)
     tests = compare_each(difference, error, between.degrees_of_freedom, tested)
     changed = tests[2] <= level
-    felt: list[dict[str, Any]] = [{} for _ in names]
     joints: tuple[JointChange, ...] = ()
     if after.cause_data is not None:
-        # The change in all parameters, as the later result has them.
-        whole = np.zeros(after.n_base)
-        whole[two] = difference
-        cost = evaluate_torque_cost(after.cause_data, after.base, whole)
-        left = after.cause_data.error_of(after.base.names, after.estimates)
         joints = derive_joint_changes(
             after, names, difference, between.covariance, between.mean_degrees
         )
-        own = cost.noticed(left, alone=True)
-        felt = [
-            {
-                "torque_total": float(cost.total[j]),
-                "felt_at": 1 + int(np.argmax(cost.torque[j])) if cost.torque[j].any() else None,
-                "matters": bool(differs and own[j]),
-                "shared_with": cost.shared_with(j, left, after.base.names) if differs else (),
-            }
-            for j, differs in zip(two, changed, strict=True)
-        ]
-    texts = describe_parameters(after.base)
-    changes = tuple(
-        ParameterChange(
-            id=int(after.base.ids[j]),
-            name=name,
-            expression=after.base.expressions[j],
-            unit=after.base.units[j],
-            words=texts[j],
-            before=float(first.estimates[place]),
-            before_error=float(first.std_errors[place]),
-            after=float(second.estimates[place]),
-            after_error=float(second.std_errors[place]),
-            changed=bool(changed[place]),
-            dropped=bool(dropped[place]),
-            **dict(zip(TESTS, make_plain(tests[:, place]), strict=True)),
-            **felt[place],
+    changes = []
+    for k, test in enumerate(list_tests(after, two, difference, tests)):
+        # What may be no change at all neither matters nor is shared.
+        if not changed[k] and "matters" in test:
+            test |= {"matters": False, "shared_with": ()}
+        changes.append(
+            ParameterChange(
+                before=float(first.estimates[k]),
+                before_error=float(first.std_errors[k]),
+                after=float(second.estimates[k]),
+                after_error=float(second.std_errors[k]),
+                changed=bool(changed[k]),
+                dropped=bool(dropped[k]),
+                **test,
+            )
         )
-        for place, (name, j) in enumerate(zip(names, two, strict=True))
-    )
     titles = labels or tuple(
         ", ".join(recording_name(source) for source in result.sources) for result in (before, after)
     )
@@ -432,7 +410,7 @@ def compare_results(
         after=titles[1],
         joint_names=after.joint_names,
         units=torque_units(after.model),
-        parameters=changes,
+        parameters=tuple(changes),
         chi_square=between.test(tested),
         level=level,
         sentences=(
