@@ -15,7 +15,7 @@ from markupsafe import Markup
 from asbuilt.apps.fleet.drift.drift import FleetDrift, RobotDrift, TypeVariation
 from asbuilt.apps.fleet.overview import Overview
 from asbuilt.apps.fleet.reduction.add import Addition
-from asbuilt.findings import Cure, list_findings
+from asbuilt.findings import Cure, list_findings, list_warnings
 from asbuilt.tables import Column, Table, format_share, wrap_text
 from asbuilt.validation import format_probability
 from asbuilt.writers import (
@@ -246,7 +246,7 @@ def addition_document(done: Addition) -> dict[str, Any]:
             {"type": setting.robot_type, "settings": setting.digest} for setting in done.settings
         ],
         "dashboard": done.dashboard,
-        "warnings": [{"code": finding.code, "message": finding.text} for finding in done.findings],
+        "warnings": list_warnings(done.findings),
         "findings": [finding.as_dict() for finding in done.findings],
     }
 
