@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,12 +79,12 @@ class Thresholds:
         Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`],
         and speeds [rad/s or m/s], the last the highest met.
     velocity_error
-        Largest error of the velocities [rad/s or m/s] per joint, (n,); none given: 0.
+        Largest error of the velocities [rad/s or m/s] per joint, (n,).
     model_part
-        Share of the model's standard deviation in S, per joint, (n,); none given: 1.
+        Share of the model's standard deviation in S, per joint, (n,).
     spread
-        RMS residual per `deviation`, per joint, (n,); none given: 1. The scale that makes
-        thresholds lowest is no standard deviation.
+        RMS residual per `deviation`, per joint, (n,): the scale that makes thresholds lowest is no
+        standard deviation.
     held_out
         Whether the levels were set on recordings other than the one watched.
     filtered
@@ -108,17 +108,14 @@ class Thresholds:
     fast: Array
     slow_speed: Array
     top_speed: Array
-    velocity_error: Array = field(default_factory=lambda: np.zeros(0))
-    model_part: Array = field(default_factory=lambda: np.zeros(0))
-    spread: Array = field(default_factory=lambda: np.zeros(0))
+    velocity_error: Array
+    model_part: Array
+    spread: Array
     held_out: bool = True
     filtered: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
-        for name, value in (("velocity_error", 0.0), ("model_part", 1.0), ("spread", 1.0)):
-            if np.size(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.full(n, value))
         for name in ("bandwidth", "false_alarms_per_hour", "block_seconds", "hours", "rate"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
@@ -260,7 +257,7 @@ def set_thresholds(
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
     kept = [np.ones(len(log.t), dtype=bool) for log in logs]
     seconds = max(LEVEL_BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
-    hours = sum(float(log.t[-1] - log.t[0]) for log in logs) / 3600.0
+    hours = sum(log.seconds for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
     if probability > LEVEL_MOST:
         highest = float(-np.log1p(-LEVEL_MOST) * n * 3600.0 / seconds)
@@ -272,6 +269,7 @@ def set_thresholds(
         )
     for last in (held_out, True):
         parts = [_fit_parts(j, logs, models, kept, seconds, probability) for j in range(n)]
+        floor, slow_part, fast, model_part, slow_speed = np.transpose(parts)
         made = Thresholds(
             joint_names=names,
             bandwidth=bandwidth,
@@ -280,13 +278,14 @@ def set_thresholds(
             hours=hours,
             rate=float(np.median(np.concatenate([sampling_rates(log.t) for log in logs]))),
             level=np.ones(n),
-            floor=np.array([part[0] for part in parts]),
-            slow_part=np.array([part[1] for part in parts]),
-            fast=np.array([part[2] for part in parts]),
-            model_part=np.array([part[3] for part in parts]),
-            slow_speed=np.array([part[4] for part in parts]),
+            floor=floor,
+            slow_part=slow_part,
+            fast=fast,
+            slow_speed=slow_speed,
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
             velocity_error=np.zeros(n) if velocity_error is None else velocity_error,
+            model_part=model_part,
+            spread=np.ones(n),
             held_out=held_out,
             filtered=filtered,
         )
@@ -337,14 +336,14 @@ def estimate_levels(maxima: Array, expected: float) -> Array:
     n = maxima.shape[1]
     if len(maxima) < MANY:
         each = float(-np.expm1(-expected / n))
-        return np.array([tail_level(column, each).level for column in maxima.T])
+        return np.array([tail_level(column, each) for column in maxima.T])
     part = np.arange(len(maxima)) * LEVEL_PARTS // len(maxima)
     pooled = [
         (maxima[part == k] / _average_largest(maxima[part != k])).max(axis=1)
         for k in range(LEVEL_PARTS)
     ]
-    tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
-    return _average_largest(maxima) * tail.level
+    level = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
+    return _average_largest(maxima) * level
 
 
 def _average_largest(maxima: Array) -> Array:

@@ -48,12 +48,11 @@ class Tally:
 
     def add(self, observer: Observer, observed: Observed, scale: Array, limit: Array) -> None:
         """Count one more part, with scale and threshold (N, n) of its residual."""
-        steps = np.diff(observed.t)
         self.n_samples += len(observed.t)
         self.left_out += observed.left_out
-        self.seconds += float(steps[observed.share[1:] > 0.0].sum())
+        self.seconds += observed.seconds
         self.tops.append(np.abs(observed.qd).max(axis=0))
-        if not steps.size:
+        if len(observed.t) < 2:
             return
         self.rates.append(float(np.median(sampling_rates(observed.t))))
         # Median of the absolute value of a standard normal variable.
