@@ -62,15 +62,9 @@ def write_fleet_report(path: str | os.PathLike[str], drift: FleetDrift) -> Path:
 def render_fleet(drift: FleetDrift) -> str:
     """Return the page as text."""
     order = sorted(
-        drift.robots,
-        key=lambda each: (
-            not each.changed,
-            each.false_discovery or 1.0,
-            -(each.distances or (0.0,))[-1],
-            each.id,
-        ),
+        drift.robots, key=lambda robot: (robot.rank, -(robot.distances or (0.0,))[-1], robot.id)
     )
-    rows = [_build_row(each) for each in order]
+    rows = list(map(_build_row, order))
     changes = section_markup(CHANGES, {"verdict": describe_drift_outcome(drift), "rows": rows})
     return render_page(
         "Fleet",

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from asbuilt import RobotModel
-from asbuilt.apps.masses.cad.solids import read_solids
+from asbuilt.apps.masses.solids import read_solids
 from asbuilt.arrays import Array
 from asbuilt.identification import LINK_SHAPES
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.apps.masses.cad.solids import PLAUSIBLE_SIZE, LinkSolid
+from asbuilt.apps.masses.solids import PLAUSIBLE_SIZE, LinkSolid
 from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, Plausibility, check_in_shape, make_link_finding
 from asbuilt.findings import SEVERITIES, Cure, Finding

@@ -391,14 +391,4 @@ def outcome_document(
 
 def format_json_line(document: Mapping[str, Any]) -> str:
     """Return a document as one line."""
-    plain = make_plain(document)
-    return json.dumps(_finite(plain), ensure_ascii=False, allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    """Return plain data with None for numbers that JSON does not have."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    return [_finite(each) for each in value] if isinstance(value, list) else value
+    return json.dumps(make_plain(document), ensure_ascii=False, allow_nan=False)

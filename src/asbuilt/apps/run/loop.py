@@ -22,8 +22,8 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation import Motion, check_motion, measure_clearance
 from asbuilt.identification import known_information
 from asbuilt.tables import format_share
+from asbuilt.workflow import Progress
 
-Progress = Callable[[str, float], None]
 Ending = Literal["proven", "with care", "unreachable", "rounds", "interrupted"]
 
 IN_A_ROW = 2

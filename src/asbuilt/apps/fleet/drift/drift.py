@@ -30,7 +30,7 @@ from asbuilt.apps.fleet.drift.variation import (
     scan,
 )
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
-from asbuilt.apps.fleet.ledger.settings import TypeSettings
+from asbuilt.apps.fleet.ledger.settings import TypeSettings, convert_to_utc
 from asbuilt.apps.fleet.options import FleetDriftOptions
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
@@ -39,6 +39,7 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Finding, list_warnings, rank_findings
 from asbuilt.identification import FoundEffect
 from asbuilt.validation import benjamini_hochberg
+from asbuilt.workflow import Progress
 
 EXAMPLES = 40
 """Robots of a type from which its noise and directions are found."""
@@ -81,6 +82,11 @@ class RobotDrift:
     what: tuple[FoundEffect, ...]
     days: tuple[str, ...]
     distances: tuple[float, ...]
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Key by which robots are sorted: those that changed first, the surest before."""
+        return not self.changed, 1.0 if self.false_discovery is None else self.false_discovery
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +150,7 @@ def fleet_drift(
     *,
     since: datetime | None = None,
     options: FleetDriftOptions | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FleetDrift:
     """Find the robots of a fleet that changed.
 
@@ -157,7 +163,8 @@ def fleet_drift(
     ledger
         A ledger, its folder or URL.
     since
-        Look for changes on this date or later; None: at any time. Earlier logs are the reference.
+        Look for changes on this date (UTC) or later; None: at any time. Earlier logs are the
+        reference.
     options
         How to look.
     progress
@@ -177,6 +184,7 @@ def fleet_drift(
             groups.setdefault(names[-1][1], []).append(robot_id)
     if not groups:
         raise UsageError(f"the ledger {opened.root} has no logs", value=opened.root)
+    since = None if since is None else convert_to_utc(since)
     done = count(1)
     total = sum(map(len, groups.values()))
     report = progress or (lambda what, fraction: None)
@@ -291,7 +299,7 @@ def conclude_drift(
     rate_of = dict(zip(tested, rates, strict=True))
     level = options.false_discovery_rate
     decided = [_decide_change(robot, rate_of.get(robot.id), level) for robot in robots]
-    decided.sort(key=lambda robot: (not robot.changed, robot.false_discovery or 1.0, robot.id))
+    decided.sort(key=lambda robot: (robot.rank, robot.id))
     few = [robot.id for robot in robots if robot.p_value is None]
     found = [*findings]
     if few:

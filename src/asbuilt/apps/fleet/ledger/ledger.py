@@ -9,7 +9,14 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from asbuilt.apps.fleet.ledger.entry import Entry, EntryName, digest_content, read_entry
-from asbuilt.apps.fleet.ledger.settings import FORMAT_VERSION, TypeSettings, check_version
+from asbuilt.apps.fleet.ledger.settings import (
+    EARLIEST,
+    FORMAT_VERSION,
+    LATEST,
+    TypeSettings,
+    check_version,
+    convert_to_utc,
+)
 from asbuilt.apps.fleet.ledger.store import (
     Store,
     is_folder,
@@ -141,10 +148,12 @@ class Ledger:
         until: datetime | None = None,
         types: dict[str, TypeSettings] | None = None,
     ) -> list[Entry]:
-        """Return a robot's sound entries of the latest settings, `since <= date < until`."""
+        """Return a robot's sound entries of the latest settings, `since <= date < until` (UTC)."""
+        first = EARLIEST if since is None else convert_to_utc(since)
+        end = LATEST if until is None else convert_to_utc(until)
         found: dict[str, Entry] = {}
         for name, settings in self._all_current(robot_id, types):
-            asked = (not since or since <= name.date) and (not until or name.date < until)
+            asked = first <= name.date < end
             entry = self.read(name, settings) if asked and name.source not in found else None
             if entry is not None:
                 found[name.source] = entry
