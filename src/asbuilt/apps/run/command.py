@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import math
+import shutil
+import signal
 import sys
-from contextlib import suppress
-from dataclasses import asdict
+import textwrap
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import FrameType
+from typing import Annotated, Any
 
+import matplotlib.pyplot as plt
 import typer
+from matplotlib.ticker import NullFormatter
 
 import asbuilt
 from asbuilt import UsageError, writers
+from asbuilt.apps.run.drivers import Driver, DriverRequest, moves_metal, open_driver
+from asbuilt.apps.run.folder import RunFolder, RunSettings
+from asbuilt.apps.run.loop import Loop, Outcome
 from asbuilt.apps.run.options import RunOptions
+from asbuilt.apps.run.rounds import Round
 from asbuilt.cli import (
     AsJson,
     Robot,
@@ -22,29 +36,8 @@ from asbuilt.cli import (
     show_progress,
     summarise_files,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from asbuilt.apps.run.drivers import Driver
-    from asbuilt.apps.run.loop import Loop, Outcome
-import json
-import math
-import shutil
-import signal
-import textwrap
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from types import FrameType
-
-import matplotlib.pyplot as plt
-from matplotlib.ticker import NullFormatter
-
-from asbuilt.apps.run.loop import Outcome
-from asbuilt.apps.run.rounds import Round
 from asbuilt.codec import make_plain
-from asbuilt.tables import format_share
+from asbuilt.tables import format_share, wrap_text
 
 FOLDER = Path("asbuilt-run")
 
@@ -93,22 +86,18 @@ def run(
     Each round is designed, recorded, predicted by the model so far, and learned. The first is slow
     and small. It ends when two rounds in a row are predicted within --until, or says why not.
     """
-    from asbuilt.apps.run.drivers import DriverRequest, moves_metal, open_driver
-    from asbuilt.apps.run.loop import Loop
-
     model = asbuilt.load_robot(robot)
     settings = _read_settings(model.name, options, on, motion, program, resume, out)
-    options = RunOptions(**settings["options"])
+    options = settings.options
     folder = resume or out
-    wanted = None if settings["motion"] is None else Path(settings["motion"])
-    matters = None if wanted is None else asbuilt.read_motion(wanted, model)
-    name, _, argument = str(settings["on"]).partition(":")
+    matters = None if settings.motion is None else asbuilt.read_motion(settings.motion, model)
+    name, _, argument = settings.on.partition(":")
     with catch_interrupt() as stopped, show_progress() as report:
         request = DriverRequest(
             model=model,
             argument=argument,
             seed=options.seed,
-            programs=tuple(settings["programs"]),
+            programs=settings.programs,
             collision=options.collision,
             stopped=stopped,
         )
@@ -140,10 +129,8 @@ def _read_settings(
     program: list[str] | None,
     resume: Path | None,
     out: Path,
-) -> dict[str, Any]:
+) -> RunSettings:
     """Return the settings of a loop: those given, or those of the folder that is resumed."""
-    from asbuilt.apps.run.folder import RunFolder
-
     if resume is None:
         if on is None:
             raise UsageError("run needs --on DRIVER, such as --on virtual:lab or --on files:DIR")
@@ -152,16 +139,16 @@ def _read_settings(
                 f"{out} holds a loop already; continue it with --resume {out}, or name another"
                 " folder with --out"
             )
-        return {
-            "robot": robot,
-            "on": on,
-            "motion": None if motion is None else str(motion.resolve()),
-            "programs": list(program or ()),
-            "options": asdict(options),
-        }
+        return RunSettings(
+            robot=robot,
+            on=on,
+            motion=None if motion is None else str(motion.resolve()),
+            programs=tuple(program or ()),
+            options=options,
+        )
     kept = RunFolder(resume).read_settings()
-    if kept.get("robot") != robot:
-        raise UsageError(f"{resume} holds a loop of {kept.get('robot')}, not of {robot}")
+    if kept.robot != robot:
+        raise UsageError(f"{resume} holds a loop of {kept.robot!r}, not of {robot}")
     if out != FOLDER:
         raise UsageError("--resume goes on in its own folder; leave out --out")
     # What may change from start to start: how long the loop goes on.
@@ -170,8 +157,12 @@ def _read_settings(
         for name in ("until", "rounds")
         if getattr(options, name) != getattr(RunOptions(), name)
     }
-    kept["options"] |= changed
-    return kept | ({"on": on} if on else {}) | ({"programs": program} if program else {})
+    return replace(
+        kept,
+        on=on or kept.on,
+        programs=tuple(program or kept.programs),
+        options=replace(kept.options, **changed),
+    )
 
 
 def _make_confirm(driver: Driver, *, asks: bool) -> Callable[[Path, int], bool]:
@@ -218,8 +209,6 @@ def _write(loop: Loop) -> tuple[Outcome, dict[str, Path]]:
 def _answer(
     outcome: Outcome, loop: Loop, files: dict[str, Path], robot: str, as_json: bool
 ) -> None:
-    from asbuilt.tables import wrap_text
-
     if as_json:
         document = outcome_document(outcome, loop.model.name, loop.options, files)
         print(format_json_line(document), flush=True)
