@@ -209,7 +209,8 @@ def _find_layout(
     table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> tuple[asbuilt.RobotModel, Layout]:
     """Return the layout, and the robot without the joints that the log lacks."""
-    model = model.locked(dict.fromkeys(name for name in sheet.lock if name in model.joint_names))
+    asked = (*sheet.lock, *(reading.lock or ()))
+    model = model.locked(dict.fromkeys(name for name in asked if name in model.joint_names))
     while True:
         try:
             return model, find_table_layout(table, sheet, model, reading)
