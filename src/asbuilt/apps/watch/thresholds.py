@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -268,8 +268,9 @@ def set_thresholds(
             expected=highest,
         )
     for last in (held_out, True):
-        parts = [_fit_parts(j, logs, models, kept, seconds, probability) for j in range(n)]
-        floor, slow_part, fast, model_part, slow_speed = np.transpose(parts)
+        floor, slow_part, fast, model_part, slow_speed = _fit_scale(
+            logs, models, kept, seconds, probability
+        )
         made = Thresholds(
             joint_names=names,
             bandwidth=bandwidth,
@@ -377,15 +378,53 @@ def _find_quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
     return np.repeat(largest <= np.median(largest), counts)
 
 
-def _fit_parts(
-    j: int,
+def _fit_scale(
     logs: Sequence[Observed],
     models: Sequence[Array],
     kept: Sequence[Mask],
     seconds: float,
     probability: float,
-) -> tuple[float, float, float, float, float]:
-    """Return floor, slow part, fast part, model part and slow speed of joint j.
+) -> Array:
+    """Return floor, slow part, fast part, model part and slow speed of the joints, (5, n)."""
+    residual, speed, model, step, unknown = (
+        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
+        for arrays in (
+            [log.residual for log in logs],
+            [log.qd for log in logs],
+            models,
+            [log.step for log in logs],
+            [log.unknown_friction for log in logs],
+        )
+    )
+    starts = _find_block_starts(logs, kept, seconds)
+    least = [least_speed(delay_velocities(log), log.qd) for log in logs]
+
+    def fit_joint(j: int) -> tuple[float, ...]:
+        def find_slowness(slow_speed: float) -> Array:
+            near = [np.exp(-((speeds[:, j : j + 1] / slow_speed) ** 2)) for speeds in least]
+            lagged = (
+                apply_lag(log.share, x)[keep, 0]
+                for log, x, keep in zip(logs, near, kept, strict=True)
+            )
+            return np.concatenate([*lagged])
+
+        columns = (x[:, j].copy() for x in (residual, speed, model, step, unknown))
+        return _fit_parts(*columns, find_slowness, starts, probability)
+
+    return np.transpose([fit_joint(j) for j in range(residual.shape[1])])
+
+
+def _fit_parts(
+    residual: Array,
+    speed: Array,
+    model: Array,
+    step: Array,
+    unknown: Array,
+    find_slowness: Callable[[float], Array],
+    starts: NDArray[Any],
+    probability: float,
+) -> tuple[float, ...]:
+    """Return floor, slow part, fast part, model part and slow speed of a joint.
 
     For each slow speed and least floor they are the most likely for normal residuals of these
     scales, by weighted least squares of the squares; shares of the steps of torque and of the
@@ -394,46 +433,31 @@ def _fit_parts(
     their tail is exponential. The most likely scale alone is not it: where it is too small, a few
     samples would raise the level everywhere.
     """
-    residual, speed, model, step, unknown = (
-        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
-        for arrays in (
-            [log.residual[:, j] for log in logs],
-            [log.qd[:, j] for log in logs],
-            [model[:, j] for model in models],
-            [log.step[:, j] for log in logs],
-            [log.unknown_friction[:, j] for log in logs],
-        )
-    )
     size = float(np.sqrt(np.mean(residual**2)))
     top = float(np.abs(speed).max()) or 1.0
-    starts = _find_block_starts(logs, kept, seconds)
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
     few = slice(None, None, max(1, len(residual) // LEVEL_MOST_ROWS))
     extra = np.column_stack([step, unknown]) / size
-    least = [least_speed(delay_velocities(log), log.qd) for log in logs]
-    best: tuple[float, tuple[float, float, float, float, float]] | None = None
-    for part in SLOW:
-        slow_speed = part * top
-        slowness = np.concatenate(
-            [
-                apply_lag(log.share, np.exp(-((speed_of[:, j : j + 1] / slow_speed) ** 2)))[keep, 0]
-                for log, speed_of, keep in zip(logs, least, kept, strict=True)
-            ]
-        )
+    costs = []
+    parts = []
+    for share in SLOW:
         columns = np.column_stack(
-            [np.ones(len(speed)), slowness, (speed / top) ** 2, (model / size) ** 2]
+            [
+                np.ones(len(speed)),
+                find_slowness(share * top),
+                (speed / top) ** 2,
+                (model / size) ** 2,
+            ]
         )
         whole = np.column_stack([columns, extra**2])[few]
         for floor in LEAST:
             found = _fit_variances(whole, (residual[few] / size) ** 2, floor)
             scale = np.sqrt(columns @ found[:4])
             level = exponential_level(np.maximum.reduceat(excess / scale, starts), probability)
-            cost = float(np.log(max(level, np.finfo(float).tiny)) + np.mean(np.log(scale)))
-            if best is None or cost < best[0]:
-                a, b, c, d = np.sqrt(found[:4]).tolist()
-                best = cost, (size * a, size * b, size * c / top, d, slow_speed)
-    assert best is not None
-    return best[1]
+            costs.append(np.log(max(level, np.finfo(float).tiny)) + np.mean(np.log(scale)))
+            a, b, c, d = np.sqrt(found[:4]).tolist()
+            parts.append((size * a, size * b, size * c / top, d, share * top))
+    return parts[int(np.argmin(costs))]
 
 
 def _fit_variances(columns: Array, squares: Array, floor: float) -> Array:
