@@ -65,8 +65,9 @@ class History:
         """Return the history less what its temperatures explain, by coefficients (c, r)."""
         if not coefficients.size:
             return self
-        centred = self.covariates - np.nanmedian(self.covariates, axis=0)
-        y = np.nan_to_num(centred, nan=0.0) @ coefficients
+        # A robot may lack a temperature that others of its type have.
+        usual = np.ma.median(np.ma.masked_invalid(self.covariates), axis=0).filled(0.0)
+        y = np.nan_to_num(self.covariates - usual, nan=0.0) @ coefficients
         return replace(self, score=self.score - np.einsum("drs,ds->dr", self.information, y))
 
 
