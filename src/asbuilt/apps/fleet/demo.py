@@ -161,9 +161,9 @@ def describe_demo(demo: FleetDemo) -> str:
         "",
         wrap_text(describe_drift_outcome(demo.drift)),
         *(
-            wrap_text(f"{each.id}, from {(each.when or '')[:10]}: {change.text}")
-            for each in demo.drift.changed
-            for change in each.what
+            wrap_text(f"{robot.id}, from {(robot.when or '')[:10]}: {change.text}")
+            for robot in demo.drift.changed
+            for change in robot.what
         ),
         "",
         f"logs    {demo.logs}",

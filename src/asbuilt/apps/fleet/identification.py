@@ -233,7 +233,9 @@ def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry])
     settings = entries[0].settings
     types = ledger.types()
     found: dict[str, SquareRootInformation] = {}
-    for other in (each for each in ledger.robot_ids() if each != robot_id):
+    for other in ledger.robot_ids():
+        if other == robot_id:
+            continue
         logs = [
             entry
             for entry in ledger.entries(other, types=types)

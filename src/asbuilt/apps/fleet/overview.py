@@ -32,7 +32,7 @@ LATEST = 12
 def report_suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
     """Return findings about a robot's latest entries."""
     latest = ledger.current_names(robot_id)[-LATEST:]
-    sound = [entry for entry in (ledger.read(*each) for each in latest) if entry is not None]
+    sound = [entry for entry in (ledger.read(*name) for name in latest) if entry is not None]
     types = {entry.settings.robot_type for entry in sound}
     if len(types) > 1:
         return [
@@ -51,7 +51,7 @@ def _report_overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     stamped = [entry for entry in entries if entry.date_from == "stamps"]
     overlaps = (
         (earlier, later, (earlier.date - later.date).total_seconds() + earlier.duration)
-        for earlier, later in pairwise(sorted(stamped, key=lambda each: each.date))
+        for earlier, later in pairwise(sorted(stamped, key=lambda entry: entry.date))
     )
     return [
         Finding(
@@ -75,7 +75,7 @@ def _report_jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     found = []
     while len(rest) > 1:
         ratios = [
-            measure_misfit(entry, [each for each in rest if each is not entry]) for entry in rest
+            measure_misfit(entry, [other for other in rest if other is not entry]) for entry in rest
         ]
         worst = len(rest) - 1 if len(rest) == 2 else int(np.argmax(ratios))
         if ratios[worst] <= UNLIKE_OTHERS:

@@ -21,8 +21,8 @@ def find_link_boxes(model: RobotModel) -> Mapping[int, tuple[Array, Array]]:
     boxes = {}
     for k in range(model.n_links):
         own = [solid for solid in solids if solid.link == k and len(solid.corners)]
-        if own and not any(each.missing for each in own):
-            corners = np.concatenate([each.corners for each in own])
+        if own and not any(solid.missing for solid in own):
+            corners = np.concatenate([solid.corners for solid in own])
             boxes[k] = corners.min(axis=0), corners.max(axis=0)
     return boxes
 

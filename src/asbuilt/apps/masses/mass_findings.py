@@ -129,5 +129,5 @@ def sort_by_plausibility(links: list[LinkMass], findings: list[Finding]) -> tupl
             severity = SEVERITIES.index(finding.severity)
             worst[finding.link] = min(worst[finding.link], severity)
     return tuple(
-        sorted(links, key=lambda each: (worst[each.name], -np.nan_to_num(abs(each.mass_change))))
+        sorted(links, key=lambda link: (worst[link.name], -np.nan_to_num(abs(link.mass_change))))
     )

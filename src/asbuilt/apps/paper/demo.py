@@ -244,10 +244,10 @@ def _describe_intervals(recovery: Recovery) -> str:
     """Return how many feasible intervals hold the truth, and those of all and the last link."""
     masses = [interval for interval in recovery.intervals if interval.quantity.startswith("mass")]
     texts = [
-        f"{each.quantity} {each.text} (true"
-        f" {round_significant(recovery.true_values[each.quantity])}, CAD"
-        f" {round_significant(each.cad)})"
-        for each in (masses[0], masses[-1])
+        f"{interval.quantity} {interval.text} (true"
+        f" {round_significant(recovery.true_values[interval.quantity])}, CAD"
+        f" {round_significant(interval.cad)})"
+        for interval in (masses[0], masses[-1])
     ]
     held = f"{recovery.held} of {len(recovery.intervals)} feasible intervals hold the truth"
     return _format_line("bodies", f"{held}: {join_names(texts)}")

@@ -283,14 +283,15 @@ def _share(value: float) -> str:
     return format_share(value) if math.isfinite(value) else "-"
 
 
+def _list_tested(rounds: Sequence[Round]) -> list[Round]:
+    """Return the rounds of which a model promised an error, and one was found."""
+    return [row for row in rounds if row.promised is not None and math.isfinite(row.found)]
+
+
 def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
     """Return a picture in text: promised (p) and found (f) error by round, `|` the wanted one."""
     until = options.until / 100.0
-    rows = [
-        (each.number, each.promised, each.found)
-        for each in rounds
-        if each.promised is not None and math.isfinite(each.found)
-    ]
+    rows = [(row.number, row.promised, row.found) for row in _list_tested(rounds)]
     if not rows:
         return ""
     values = [until, *(value for row in rows for value in row[1:] if value)]
@@ -319,7 +320,7 @@ def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
 
 def write_promise_figure(path: Path, rounds: Sequence[Round], options: RunOptions) -> Path | None:
     """Write promised against found error of each round as PNG; None without a tested round."""
-    rows = [each for each in rounds if each.promised is not None and math.isfinite(each.found)]
+    rows = _list_tested(rounds)
     if not rows:
         return None
     numbers = [row.number for row in rows]

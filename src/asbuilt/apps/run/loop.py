@@ -47,7 +47,7 @@ class Outcome:
     @property
     def seconds(self) -> float:
         """Motion of all rounds [s]."""
-        return sum(each.seconds for each in self.rounds)
+        return sum(round.seconds for round in self.rounds)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -178,14 +178,14 @@ def choose_ending(rounds: Sequence[Round], options: RunOptions) -> Ending | None
     """Return how a loop with these rounds ends; None while it goes on."""
     until = options.until / 100.0
     last = rounds[-IN_A_ROW:]
-    if len(last) == IN_A_ROW and all(each.passes(until) for each in last):
-        if all(each.verdict == "yes" for each in last):
+    if len(last) == IN_A_ROW and all(round.passes(until) for round in last):
+        if all(round.verdict == "yes" for round in last):
             return "proven"
-        reasons = [each.tested.verdict.reasons for each in last if each.tested is not None]
+        reasons = [round.tested.verdict.reasons for round in last if round.tested is not None]
         if all(set(reasons[0]) == set(reason) for reason in reasons) and reasons[0]:
             return "with care"
     if len(rounds) >= LEARNED_FIRST and len(last) == IN_A_ROW:
-        before, now = (each.goal_noise for each in last)
+        before, now = (round.goal_noise for round in last)
         if now > until and now > STALLED * before:
             return "unreachable"
     return "rounds" if len(rounds) >= options.rounds else None
@@ -199,13 +199,13 @@ def conclude(rounds: Sequence[Round]) -> Study | None:
     if not rounds:
         return None
     study = rounds[-1].study
-    tested = [each.tested for each in rounds[-IN_A_ROW:] if each.tested is not None]
+    tested = [round.tested for round in rounds[-IN_A_ROW:] if round.tested is not None]
     if not tested:
         return study
     return replace(
         study,
         findings=without_hold_out(study),
-        validations=tuple(each.validation for each in tested),
+        validations=tuple(test.validation for test in tested),
         rollouts=tested[-1].rollouts,
     )
 
@@ -214,7 +214,7 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
     """Return why a loop ended, and what would help where it did not prove the model."""
     if not rounds:
         return "No round was recorded."
-    seconds = sum(each.seconds for each in rounds)
+    seconds = sum(round.seconds for round in rounds)
     spent = f"{len(rounds)} round{'s' if len(rounds) > 1 else ''}, {seconds:.4g} s of motion"
     last = rounds[-1]
     wanted = format_share(options.until / 100.0)
@@ -253,10 +253,12 @@ def _advise(last: Round) -> str:
     joint = int(np.argmax(variance))
     name = result.model.joint_names[joint]
     share = variance[joint] / np.sum(variance)
-    findings = [each for each in without_hold_out(last.study) if each.severity != "info"]
+    findings = [finding for finding in without_hold_out(last.study) if finding.severity != "info"]
     # joint_1 is not named by a message on joint_10.
     named = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)")
-    about = [each for each in findings if each.joint == name or named.search(each.message)]
+    about = [
+        finding for finding in findings if finding.joint == name or named.search(finding.message)
+    ]
     first = next(iter((*about, *findings)), None)
     place = f"{format_share(share, 0)} of the unexplained squared torque is at {name}."
     if first is None:

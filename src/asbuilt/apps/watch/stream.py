@@ -161,7 +161,7 @@ class StreamedRows:
                 self.names = self.names or tuple(content)
                 values = [float(content[name]) for name in self.names]
             else:
-                values = [float(each) if each.strip() else np.nan for each in text.split(",")]
+                values = [float(cell) if cell.strip() else np.nan for cell in text.split(",")]
             if len(values) != len(self.names):
                 raise ValueError(f"{len(values)} numbers for {len(self.names)} columns")
         except (ValueError, KeyError, TypeError, RecursionError) as problem:

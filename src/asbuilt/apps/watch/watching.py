@@ -348,9 +348,9 @@ def _choose_thresholds(
     )
     parts: list[Observed] = []
     findings: list[Finding] = []
-    for each in quiet or [log]:
-        trained = is_trained_on(result, each)
-        whole = list(observe_parts(observer, each, velocities=measured))
+    for recording in quiet or [log]:
+        trained = is_trained_on(result, recording)
+        whole = list(observe_parts(observer, recording, velocities=measured))
         if trained and quiet and result.holdout is not None and result.trained is None:
             whole = cut_held_out_parts(whole, result.holdout)
         elif trained:
@@ -358,8 +358,8 @@ def _choose_thresholds(
                 Finding(
                     "thresholds_on_training_data",
                     "warning",
-                    f"{each.source} was used to identify the model, so its residuals are smaller"
-                    " than in other motions and false alarms will be more frequent",
+                    f"{recording.source} was used to identify the model, so its residuals are"
+                    " smaller than in other motions and false alarms will be more frequent",
                     Cure("give a recording of another motion without contact"),
                 )
             )

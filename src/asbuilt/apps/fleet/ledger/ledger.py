@@ -108,8 +108,8 @@ class Ledger:
     ) -> list[tuple[EntryName, TypeSettings]]:
         """Return a robot's entries of the latest settings with these, by date, each log once."""
         found: dict[str, tuple[EntryName, TypeSettings]] = {}
-        for each in self._all_current(robot_id, types):
-            found.setdefault(each[0].source, each)
+        for name, settings in self._all_current(robot_id, types):
+            found.setdefault(name.source, (name, settings))
         return list(found.values())
 
     def _all_current(

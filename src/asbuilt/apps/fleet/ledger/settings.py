@@ -303,7 +303,7 @@ def _check_texts(name: str, texts: pl.Series) -> None:
 
 def _check_dates(dates: pl.Series) -> None:
     """Compare as numbers, since Python has no dates beyond the year 9999."""
-    first, last = (int(each.timestamp() * 1e6) for each in (EARLIEST, LATEST))
+    first, last = (int(limit.timestamp() * 1e6) for limit in (EARLIEST, LATEST))
     stamps = dates.cast(pl.Int64)
     if not stamps.is_between(first, last, closed="left").all():
         raise ValueError(f"date is not between {EARLIEST:%Y} and {LATEST:%Y}")

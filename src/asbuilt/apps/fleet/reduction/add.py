@@ -233,8 +233,8 @@ def conclude_addition(
     dashboard: str | None,
 ) -> Addition:
     """Return what became of all logs, in the order of their paths, and what is suspicious."""
-    ordered = sorted(reports, key=lambda each: each.log)
-    findings = [found for each in ordered for found in each.findings]
+    ordered = sorted(reports, key=lambda report: report.log)
+    findings = [found for report in ordered for found in report.findings]
     if fixed:
         findings += [
             Finding(
@@ -244,15 +244,15 @@ def conclude_addition(
             )
             for setting in settings
         ]
-    for robot_id in sorted({each.robot_id for each in ordered if each.added}):
+    for robot_id in sorted({report.robot_id for report in ordered if report.added}):
         findings += report_suspicions(ledger, robot_id)
     return Addition(
         ledger=ledger.root,
         settings=settings,
         fixed=fixed,
-        added=tuple(each for each in ordered if each.added),
+        added=tuple(report for report in ordered if report.added),
         skipped=tuple(e for e in ordered if not e.added and e.problem is None),
-        failed=tuple(each for each in ordered if each.problem is not None),
+        failed=tuple(report for report in ordered if report.problem is not None),
         findings=rank_findings([*findings, *ledger.findings]),
         seconds=time.monotonic() - began,
         dashboard=dashboard,

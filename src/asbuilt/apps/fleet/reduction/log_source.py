@@ -45,7 +45,7 @@ def hash_sources(paths: Sequence[Path]) -> str:
     """
     digest = hashlib.sha256()
     try:
-        for path in sorted(paths, key=lambda each: each.name):
+        for path in sorted(paths, key=lambda path: path.name):
             for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
                 if file.is_file():
                     with file.open("rb") as stream:
@@ -73,7 +73,7 @@ def read_logs(
     model, (read,) = read_fitted_recordings(
         described, (list(paths),), reading, streamed_from=None if extra else 50e6
     )
-    logged = [each for each in read if not isinstance(each, Samples)]
+    logged = [recording for recording in read if not isinstance(recording, Samples)]
     if len(logged) < len(read):
         raise RecordingError(f"{paths[0]} holds samples, not a recording", file=str(paths[0]))
     return model, logged
