@@ -11,20 +11,20 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.apps.masses.cad.solids import (
-    LENGTH,
-    CadLink,
-    GeometryKind,
-    LinkSolid,
-    look_up_density,
-    read_solids,
-)
 from asbuilt.apps.masses.mass_findings import (
     LinkMass,
     check_described_mass,
     check_surface,
     has_plausible_size,
     sort_by_plausibility,
+)
+from asbuilt.apps.masses.solids import (
+    LENGTH,
+    CadLink,
+    GeometryKind,
+    LinkSolid,
+    look_up_density,
+    read_solids,
 )
 from asbuilt.arrays import Array
 from asbuilt.description import (

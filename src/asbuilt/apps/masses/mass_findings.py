@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.apps.masses.cad.solids import PLAUSIBLE_SIZE, LinkSolid
+from asbuilt.apps.masses.solids import PLAUSIBLE_SIZE, LinkSolid
 from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, check_in_shape, make_link_finding
 from asbuilt.findings import SEVERITIES, Cure, Finding
@@ -134,5 +134,5 @@ def sort_by_plausibility(links: list[LinkMass], findings: list[Finding]) -> tupl
             severity = SEVERITIES.index(finding.severity)
             worst[finding.link] = min(worst[finding.link], severity)
     return tuple(
-        sorted(links, key=lambda each: (worst[each.name], -np.nan_to_num(abs(each.mass_change))))
+        sorted(links, key=lambda link: (worst[link.name], -np.nan_to_num(abs(link.mass_change))))
     )
