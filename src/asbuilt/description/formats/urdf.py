@@ -24,6 +24,7 @@ from asbuilt.description.formats.connected_links import (
 )
 from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
+    TEXT,
     described_text,
     find_outermost_tag,
     parse_xml,
@@ -105,10 +106,6 @@ def read_urdf(
     robot = build_robot(name, bodies, connections, source, notes)
     links = clear_base_inertias(source, robot.moving_joints, robot.links, base)
     return replace(robot, links=links, source="URDF text" if source == TEXT else source)
-
-
-TEXT = "the description"
-"""What messages call a description that is given as a text."""
 
 
 def _find_only(element: Element, tag: str, place: str, notes: list[str]) -> Element | None:
