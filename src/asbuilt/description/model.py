@@ -521,8 +521,13 @@ class RobotModel:
 
     def in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
         """Return the joints of all links, links and frames, parents before their children."""
+        return self.in_order(self.link_order)
+
+    def in_order(
+        self, order: Sequence[int]
+    ) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
+        """Return the joints of all links, links and frames in an order of the links."""
         every = self.moving_joints
-        order = self.link_order
         place = {link: i for i, link in enumerate(order)} | {ROOT: ROOT}
         return (
             tuple(replace(every[k], parent=place[every[k].parent]) for k in order),

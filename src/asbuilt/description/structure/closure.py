@@ -277,7 +277,7 @@ def _open(model: RobotModel) -> Closure:
     posture = model.posture
     order, linear, offset = derive_linear_part(model)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
-    tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
+    tree, _, _ = model.in_tree_order()
     in_tree = {name: (place[link], pose) for name, (link, pose) in model.places.items()}
     numbers = number_loops(robot, model.loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
@@ -352,8 +352,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         raise DescriptionError(
             f"{robot}: the {found.loops[worst]} does not close: a gap of {gap} stays at the first"
             f" posture ({_format_posture(found, u)}); check lengths and points, or give a posture"
-            " nearer"
-            " to a closed one",
+            " nearer to a closed one",
             gap=gaps[worst],
         )
     if quality[2] > 0.0:
@@ -370,8 +369,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         )
     raise DescriptionError(
         f"{robot}: the first posture ({_format_posture(found, u)}) is singular: there the motors"
-        " do not"
-        " place all passive joints; give a posture away from it"
+        " do not place all passive joints; give a posture away from it"
     )
 
 

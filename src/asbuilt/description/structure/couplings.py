@@ -68,17 +68,14 @@ def separate_followers(model: RobotModel) -> dict[str, object]:
     """
     robot = model.name
     joints = model.joints
-    links = model.links
     # A wrong order is said in its own words before anything is moved.
     order_tree(robot, joints, len(joints))
     driven = [k for k, joint in enumerate(joints) if joint.has_motor]
     moved = [k for k, joint in enumerate(joints) if not joint.has_motor]
-    order = [*driven, *moved, *range(len(joints), len(links))]
-    place = {was: now for now, was in enumerate(order)} | {ROOT: ROOT}
-    every = model.moving_joints
-    ordered = [replace(every[k], parent=place[every[k].parent]) for k in order]
+    further = range(len(joints), len(model.links))
+    ordered, links, frames = model.in_order([*driven, *moved, *further])
     active = {joint.name: joint for joint in ordered[: len(driven)]}
-    behind = ordered[len(driven) :]
+    behind = [*ordered[len(driven) :]]
     notes: list[str] = []
     # Followers without a motor among the joints come first behind them.
     for k, joint in enumerate(behind[: len(moved)]):
@@ -89,14 +86,13 @@ def separate_followers(model: RobotModel) -> dict[str, object]:
         factors, offset = resolve_coupling(robot, joint, ordered)
         notes.append(
             f"joint {joint.name!r} follows {_format_sum(factors, offset)}; it has no drive and"
-            " needs"
-            " no column in a log"
+            " needs no column in a log"
         )
         # One master takes drive and limits over; of several none could say how much.
         if len(factors) == 1 and next(iter(factors)) in active:
             master, multiplier = next(iter(factors.items()))
-            active[master], further = _take_over_drive(active[master], joint, multiplier, offset)
-            notes += further
+            active[master], said = _take_over_drive(active[master], joint, multiplier, offset)
+            notes += said
         elif joint.drive != DriveValues() or joint.limits != JointLimits():
             notes.append(
                 f"drive and limits of joint {joint.name!r}, which several others move, are left out"
@@ -105,8 +101,8 @@ def separate_followers(model: RobotModel) -> dict[str, object]:
     return {
         "joints": tuple(active.values()),
         "followers": tuple(behind),
-        "links": tuple(links[k] for k in order),
-        "frames": tuple(replace(frame, link=place[frame.link]) for frame in model.frames),
+        "links": links,
+        "frames": frames,
         "motor_coupling": _drop_followers(model, driven, moved),
         "notes": (*model.notes, *(note for note in notes if note not in model.notes)),
     }
