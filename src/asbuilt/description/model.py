@@ -183,8 +183,9 @@ class RobotModel:
                 f"{self.name}: joint {passive[0]!r} is passive, but no loop places it; give the"
                 " loops, or a motor"
             )
-        # loops are closed when they are first needed; readers of files ask for it at once
-        assert self.loops or self.joint_map.of_links.size
+        if not self.loops:
+            # Contradictory couplings are refused here; loops are closed when first needed.
+            self.closed()
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -437,8 +438,8 @@ class RobotModel:
         return cast("Closure", self.joint_map) if self.loops else None
 
     def closed(self) -> RobotModel:
-        """Return the robot itself; raises `DescriptionError` where its loops do not close."""
-        # Deriving the map closes the loops once.
+        """Return the robot itself; raises `DescriptionError` where its joints cannot move so."""
+        # Deriving the map resolves the couplings, or closes the loops, once.
         _ = self.joint_map
         return self
 

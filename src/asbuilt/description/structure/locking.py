@@ -67,8 +67,9 @@ def lock_joints(
     model: RobotModel, joints: Mapping[str, float | None] | Iterable[str]
 ) -> RobotModel:
     """Return the robot with some joints held still, as `RobotModel.locked` says."""
+    asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     present, links, frames = model.in_tree_order()
-    values, after, places = _derive_locked_positions(model, present, joints)
+    values, after, places = _derive_locked_positions(model, present, asked)
     if not values:
         return model
     kept, carriers, named = _merge_locked_links(after, links, frames, places)
@@ -85,7 +86,7 @@ def lock_joints(
         held_followers=_find_held_followers(present, model.held_followers, values),
         assumed_carriers=(
             *model.assumed_carriers,
-            *_find_assumed_carriers(present, joints, values, places),
+            *_find_assumed_carriers(present, asked, values, places),
         ),
         usual_drive="",
         mass_ranges=tuple(known for known in model.mass_ranges if {*known.links} <= names),
@@ -170,17 +171,16 @@ def _find_held_followers(
 
 def _find_assumed_carriers(
     present: Sequence[Joint],
-    joints: Mapping[str, float | None] | Iterable[str],
+    asked: Mapping[str, float | None],
     values: Mapping[str, float],
     places: Mapping[str, float],
 ) -> tuple[str, ...]:
     """Return the locked joints on which the pose of a moving one depends, and that nobody gave.
 
-    They carry it, or move it with others. `joints` are the ones asked for, `values` those locked
-    now, `places` where joints stand that are held. The weight of all that a joint carries turns
-    with its position: at 0 it is a guess.
+    They carry it, or move it with others. `asked` are the positions that were given, `values` those
+    locked now, `places` where joints stand that are held. The weight of all that a joint carries
+    turns with its position: at 0 it is a guess.
     """
-    given = joints if isinstance(joints, Mapping) else {}
     carry: set[str] = set()
     # All that lies between a moving joint and the root turns its weight.
     for i, joint in enumerate(present):
@@ -192,7 +192,7 @@ def _find_assumed_carriers(
     guessed = [
         joint.name
         for joint in present
-        if joint.name in values and given.get(joint.name) is None and joint.has_motor
+        if joint.name in values and asked.get(joint.name) is None and joint.has_motor
     ]
     return tuple(name for name in guessed if name in carry)
 
@@ -241,7 +241,7 @@ def report_locks(model: RobotModel) -> Iterator[Finding]:
 def _derive_locked_positions(
     model: RobotModel,
     present: Sequence[Joint],
-    joints: Mapping[str, float | None] | Iterable[str],
+    asked: Mapping[str, float | None],
 ) -> tuple[dict[str, float], tuple[Joint, ...], dict[str, float]]:
     """Return the positions of all that is locked, the joints then, and where those held stand.
 
@@ -250,7 +250,6 @@ def _derive_locked_positions(
     """
     robot = model.name
     locked = model.locked_joints
-    asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     by_name = {joint.name: joint for joint in present}
     unknown = next((name for name in asked if name not in by_name and name not in locked), None)
     placed = next((name for name in asked if name in by_name and by_name[name].is_passive), None)
