@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
 from asbuilt.description.rotation import compose_placements
-from asbuilt.description.structure.joint_map import OneToOne
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
+from asbuilt.description.structure.robot import RobotParts
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
 
-if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
+Robot = TypeVar("Robot", bound=RobotParts)
 
 
 def choose_usual_position(limits: JointLimits) -> float:
@@ -63,9 +62,7 @@ def locks_from_text(text: str) -> dict[str, float | None]:
     return found
 
 
-def lock_joints(
-    model: RobotModel, joints: Mapping[str, float | None] | Iterable[str]
-) -> RobotModel:
+def lock_joints(model: Robot, joints: Mapping[str, float | None] | Iterable[str]) -> Robot:
     """Return the robot with some joints held still, as `RobotModel.locked` says."""
     asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     present, links, frames = model.in_tree_order()
@@ -93,13 +90,13 @@ def lock_joints(
     )
 
 
-def _drop_locked_motors(model: RobotModel, values: Mapping[str, float]) -> Array | None:
+def _drop_locked_motors(model: RobotParts, values: Mapping[str, float]) -> Array | None:
     """Return the coupling of the motors that are not locked, None where each turns alone."""
     if model.motor_coupling is None:
         return None
     free = [k for k, name in enumerate(model.joint_names) if name not in values]
     coupling = model.motor_coupling[np.ix_(free, free)]
-    if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(model.joint_map, OneToOne):
+    if abs(np.linalg.det(coupling)) < 1e-9 and model.is_one_to_one:
         raise DescriptionError(
             f"{model.name}: with {', '.join(values)} locked, the coupled motors of the other"
             " joints do not turn with these alone; lock the joints coupled to them too"
@@ -197,7 +194,7 @@ def _find_assumed_carriers(
     return tuple(name for name in guessed if name in carry)
 
 
-def report_locks(model: RobotModel) -> Iterator[Finding]:
+def report_locks(model: RobotParts) -> Iterator[Finding]:
     """Yield a finding that names the locked joints with their positions.
 
     It is a warning where some of them carry joints that move, at positions that are assumed.
@@ -239,7 +236,7 @@ def report_locks(model: RobotModel) -> Iterator[Finding]:
 
 
 def _derive_locked_positions(
-    model: RobotModel,
+    model: RobotParts,
     present: Sequence[Joint],
     asked: Mapping[str, float | None],
 ) -> tuple[dict[str, float], tuple[Joint, ...], dict[str, float]]:
