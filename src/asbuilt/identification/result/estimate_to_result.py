@@ -106,9 +106,6 @@ def conclude(
     parameters = _list_parameters(information, estimate, uncertainty, design)
     margin, consistent = decide_consistency(base, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
-    estimation = report_estimation(
-        parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
-    )
     return IdentificationResult(
         model=model,
         base=base,
@@ -132,7 +129,14 @@ def conclude(
         cad=cad or measure_errors_by_information(information, np.nan_to_num(design, nan=0.0)),
         physically_consistent=None if consistent is None else consistent and not non_passive,
         consistency_margin=margin,
-        findings=(*estimation, *findings),
+        findings=(
+            *_report_determination(parameters, estimate),
+            *_report_errors(estimate, uncertainty),
+            *_report_consistency(parameters, margin if consistent is False else None, non_passive),
+            *_report_convergence(estimate),
+            *estimate.findings,
+            *findings,
+        ),
         notes=(*estimate.notes, *notes),
         errors=uncertainty.basis,
         scatter=uncertainty.scatter,
@@ -211,27 +215,6 @@ def _find_poorly_determined(
     )
     torque = error * column / np.sqrt(information.n_samples)
     return np.asarray((error > POOR_RELATIVE_ERROR * size) & (torque > POOR_TORQUE))
-
-
-def report_estimation(
-    parameters: Sequence[IdentifiedParameter],
-    estimate: Estimate,
-    uncertainty: Uncertainty,
-    inconsistent: float | None,
-    non_passive: Sequence[str],
-) -> tuple[Finding, ...]:
-    """Return what an estimate says of itself.
-
-    `inconsistent` is the negative margin of links that are physically inconsistent, None if they
-    are consistent or that is unknown; `non_passive` names drive parameters below zero.
-    """
-    return (
-        *_report_determination(parameters, estimate),
-        *_report_errors(estimate, uncertainty),
-        *_report_consistency(parameters, inconsistent, non_passive),
-        *_report_convergence(estimate),
-        *estimate.findings,
-    )
 
 
 def _report_determination(
@@ -313,6 +296,11 @@ def _report_consistency(
     inconsistent: float | None,
     non_passive: Sequence[str],
 ) -> Iterator[Finding]:
+    """Report links and drives that no robot has.
+
+    `inconsistent` is the negative margin of links that are physically inconsistent, None if they
+    are consistent or that is unknown; `non_passive` names drive parameters below zero.
+    """
     consistent = {"method": "consistent"}
     if inconsistent is not None:
         yield Finding(
