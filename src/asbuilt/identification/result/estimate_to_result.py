@@ -157,21 +157,19 @@ def conclude(
 
 def measure_errors_by_information(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
     """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN."""
-    n = information.n_samples
-    error = information.residual_energy(beta)
     energy = information.torque_energy
-    spread = energy - information.torque_sum.sum(axis=0) ** 2 / n
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return TorqueMetrics(
-            source=", ".join(information.sources),
-            joint_names=information.joint_names,
-            n_samples=n,
-            rms=np.sqrt(error / n),
-            max_abs=np.full(information.n_joints, np.nan),
-            r_squared=np.where(spread > 1e-12 * energy, 1.0 - error / spread, np.nan),
-            relative_error=float(np.sqrt(error.sum() / energy.sum())),
-            relative_error_per_joint=np.sqrt(error / energy),
-        )
+    spread = energy - information.torque_sum.sum(axis=0) ** 2 / information.n_samples
+    return TorqueMetrics.of_sums(
+        ", ".join(information.sources),
+        information.joint_names,
+        information.n_samples,
+        error=information.residual_energy(beta),
+        energy=energy,
+        spread=spread,
+        # Their difference keeps half of the digits.
+        constant=~(spread > 1e-12 * energy),
+        max_abs=np.full(information.n_joints, np.nan),
+    )
 
 
 def _list_parameters(
