@@ -26,7 +26,7 @@ from asbuilt.experiment import (
     resolve_chain,
 )
 from asbuilt.experiment.command.torque import drop_slow_rows
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import (

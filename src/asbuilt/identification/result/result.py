@@ -25,7 +25,7 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, list_warnings
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.information.cause_data import CauseData
@@ -611,9 +611,7 @@ class IdentificationResult:
             "n_standard": self.n_standard,
             "n_base": self.n_base,
             "joints": list(self.joint_names),
-            "warnings": [
-                {"code": finding.code, "message": finding.text} for finding in self.findings
-            ],
+            "warnings": list_warnings(self.findings),
             **own,
         }
 

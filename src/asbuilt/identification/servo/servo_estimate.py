@@ -15,7 +15,7 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, fit_logged_magnitude_laws
 from asbuilt.experiment.command.torque import drive_by_command
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.information.equations import Equations

@@ -24,7 +24,7 @@ from asbuilt.experiment.command.torque import (
     drop_slow_rows,
     hold_command,
 )
-from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
+from asbuilt.experiment.signal.preparation import MotionFilters, PreparedMotion
 from asbuilt.findings import Cure
 from asbuilt.identification.information.equations import MODEL, Equations
 from asbuilt.identification.information.rows import SampleBlock, TimeBlock, divide_into_blocks

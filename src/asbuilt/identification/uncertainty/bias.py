@@ -54,10 +54,8 @@ class OmittedBias:
             return ""
         return f"Standard errors include the bias by what the model may lack: {self.effects}."
 
-    def with_further(self, other: OmittedBias | None) -> OmittedBias:
+    def with_further(self, other: OmittedBias) -> OmittedBias:
         """Return the bias with another one, independent of it."""
-        if other is None:
-            return self
         return OmittedBias(
             bias=self.bias + other.bias,
             covariance=self.covariance + other.covariance,

@@ -30,7 +30,7 @@ from asbuilt.dynamics import BaseParameters, find_base_parameters, observation_m
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment import Recording, Samples, resolve_chain
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain, Velocity
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
