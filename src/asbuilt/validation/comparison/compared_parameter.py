@@ -132,7 +132,7 @@ def list_tests(
     cost = evaluate_torque_cost(result.cause_data, base, whole)
     left = result.cause_data.error_of(base.names, result.estimates)
     alone = cost.noticed(left, alone=True)
-    for k in np.flatnonzero(np.isfinite(difference)):
+    for k in np.flatnonzero(np.isfinite(difference)).tolist():
         j = places[k]
         fields[k] |= {
             "torque": tuple(cost.torque[j].tolist()),

@@ -23,6 +23,7 @@ from asbuilt.tables import (
     wrap_text,
 )
 from asbuilt.validation import Claim, recording_name
+from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.significance import RESOLUTION
 from asbuilt.validation.prediction import describe_letters
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
@@ -54,7 +55,7 @@ def review_document(review: Review) -> dict[str, Any]:
         "error": review.error,
         "counts": {verdict: review.count(verdict) for verdict in ORDER},
         "base_parameters": {"contradicted": wrong, "tested": tested},
-        "false_discovery_rate": review.level,
+        "false_discovery_rate": FALSE_DISCOVERY_RATE,
         "misfit": review.misfit,
         "plausible": {
             name: getattr(review.tolerance, name) for name in ("mass", "centre", "inertia")
@@ -142,7 +143,7 @@ def review_table(review: Review) -> Table:
         title="Claimed numbers, and estimates from the log not regularised toward them",
         notes=(
             f"CONTRADICTED: off by more than {format_share(RESOLUTION, 0)} of its size, at a false"
-            f" discovery rate of {format_share(review.level, 0)} over all numbers.",
+            f" discovery rate of {format_share(FALSE_DISCOVERY_RATE, 0)} over all numbers.",
             f"supported: standard error at most {format_share(DETERMINED, 0)} of its size, and the"
             f" difference at most {format_share(RESOLUTION, 0)} of it or by chance in"
             f" {format_share(DOUBTFUL, 0)}"
