@@ -15,7 +15,7 @@ from asbuilt.errors import UsageError
 from asbuilt.executor import Workers
 from asbuilt.experiment import ReadingOptions, Recording, Samples, SignalChain, head_of
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.virtual.physics import import_mujoco
 from asbuilt.findings import Cure, rank_findings
 from asbuilt.registry import divide_settings

@@ -343,9 +343,7 @@ def conclude_study(
             for check in prepared.checks
             for finding in check.warnings
         ),
-        *report_locks(
-            fits.model.locked_joints, fits.model.held_followers, fits.model.assumed_carriers
-        ),
+        *report_locks(fits.model),
         *report_delays(result, prepared.delay, fits.final.delay_shift),
         *further,
         *_report_validation(fits, train, validations, further),

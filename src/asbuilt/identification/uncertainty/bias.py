@@ -91,7 +91,7 @@ def derive_estimate_moves(information: SquareRootInformation, estimate: Estimate
     """
     seen = (estimate.information or information).stacked(estimate.weights)[:-1, :-1]
     root = estimate.solution.inverse_root
-    return np.asarray(root @ (seen @ root).T @ seen)
+    return root @ (seen @ root).T @ seen
 
 
 def position_noise_bias(
@@ -123,7 +123,7 @@ def position_noise_bias(
             # Recordings count by their samples, whichever states they were averaged over.
             normal += variance[k] * len(samples.q) / total * (rows.T @ weighted) / len(q)
     normal *= result.n_samples
-    return np.asarray(-result.textbook_covariance @ normal @ result.estimates)
+    return -result.textbook_covariance @ normal @ result.estimates
 
 
 def report_position_noise(

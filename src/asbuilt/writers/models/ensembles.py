@@ -94,7 +94,7 @@ def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
     drive = ensemble.result.base.drive
     links = [{"link": name} for name in model.link_names for _ in PARAMETER_NAMES]
     joints = [{"joint": name} for name in model.joint_names for _ in range(drive.columns_per_joint)]
-    return [*links, *joints, *({"joint": name} for name in ensemble.gains.list_joints(model))]
+    return [*links, *joints, *({"joint": name} for name in ensemble.gains.joints)]
 
 
 def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:

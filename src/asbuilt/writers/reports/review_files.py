@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 
 from asbuilt.codec import format_json, make_plain
-from asbuilt.findings import Cure, join_names, list_findings
+from asbuilt.findings import Cure, join_names, list_findings, list_warnings
 from asbuilt.identification.screen import format_effects
 from asbuilt.tables import (
     Cell,
@@ -62,9 +62,7 @@ def review_document(review: Review) -> dict[str, Any]:
         },
         "claims": make_plain(review.claims),
         "effects": make_plain(review.result.effects),
-        "warnings": [
-            {"code": finding.code, "message": finding.text} for finding in review.findings
-        ],
+        "warnings": list_warnings(review.findings),
     }
 
 
