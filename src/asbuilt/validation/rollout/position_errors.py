@@ -262,13 +262,14 @@ def find_outlying_windows(
         return (), []
     size = [np.sqrt(np.mean(error**2, axis=1)) for error in errors]
     every = np.concatenate(size)
-    # Few windows have no usual error.
-    limit = OUTLYING * float(np.nanmedian(every)) if len(every) >= FEWEST else np.inf
+    known = every[np.isfinite(every)]
+    # Few windows have no usual error, nor have windows that all diverged.
+    limit = OUTLYING * float(np.median(known)) if len(every) >= FEWEST and len(known) else np.inf
     found = list[OutlyingWindow]()
     regular = list[Indices]()
     for cut, error, window_errors in zip(windows, errors, size, strict=True):
-        # NaN of a window that diverged is not usual, unless there are too few to say what is.
-        usual = (window_errors <= limit) | (not np.isfinite(limit))
+        # NaN of a window that diverged is not usual, unless nothing says what is.
+        usual = (window_errors <= limit) | np.isinf(limit)
         regular.append(np.flatnonzero(usual))
         found += [
             OutlyingWindow(
