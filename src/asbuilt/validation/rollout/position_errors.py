@@ -194,7 +194,7 @@ def measure_rollout_errors(
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     free = model.driven_joints.start
-    ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
+    ends = [np.concatenate([x[:, -1] for x in paths]) for paths in (measured, simulated)]
     return RolloutErrors(
         *_evaluate_rms(error, free),
         np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),

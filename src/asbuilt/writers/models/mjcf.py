@@ -366,8 +366,10 @@ def _write_term(term: DriveTerm, joints: Sequence[Joint]) -> Iterator[str]:
     """Yield a statement for each column of a term; columns that oppose motion are friction."""
     having = [joint.drive.terms.get(term.key, {}) for joint in joints]
     named = {
-        each.name: _write_array([numbers.get(each.name, each.default) for numbers in having])
-        for each in term.nonlinear
+        parameter.name: _write_array(
+            [numbers.get(parameter.name, parameter.default) for numbers in having]
+        )
+        for parameter in term.nonlinear
     }
     for symbol, column in zip(term.symbols, term.columns, strict=True):
         values = [numbers.get(symbol, 0.0) for numbers in having]

@@ -165,7 +165,7 @@ def _gather_rows(
     width = drive.columns_per_joint
     data = result.cause_data
     plain = [_find_plain(drive, k) for k in range(n)]
-    if data is None or not all("viscous" in each and "coulomb" in each for each in plain):
+    if data is None or not all("viscous" in terms and "coulomb" in terms for terms in plain):
         return _draw_rows(built, drive), STATES, "random motion"
     columns = data.places(result.base.names)
     stacked = [

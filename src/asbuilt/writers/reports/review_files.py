@@ -210,7 +210,7 @@ def tabulate_claims(review: Review) -> pl.DataFrame:
 def review_html(review: Review) -> str:
     """Return the page of a review as text."""
     table = review_table(review)
-    cards = [Card(MOODS[each], str(review.count(each)), each) for each in ORDER]
+    cards = [Card(MOODS[verdict], str(review.count(verdict)), verdict) for verdict in ORDER]
     drawn = image_markup(
         encode_figure(review_figure(review)),
         "Armature, damping, friction loss and stiffness of each joint as the log has them, with"

@@ -269,7 +269,9 @@ def standard_table(base: BaseParameters) -> Table:
             Column("id", align="right", of="id"),
             Column("parameter", of="name"),
             Column("status", of="status"),
-            Column("in base ids", of=lambda each: " ".join(map(str, each.members)) or "-"),
+            Column(
+                "in base ids", of=lambda parameter: " ".join(map(str, parameter.members)) or "-"
+            ),
             Column("why", of="why"),
         ),
         "Standard parameters",
