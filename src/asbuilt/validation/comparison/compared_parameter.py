@@ -94,6 +94,13 @@ class ComparedParameter(ParameterTest):
             return None
         return self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error
 
+    @property
+    def outcome(self) -> str:
+        """The verdict, or the standard errors by which a parameter that agrees is off."""
+        # Agreement is said by its distance: no verdict hides a near miss.
+        shown = {"differs": "DIFFERS", "agrees": format_deviation(self.sigmas, np.inf)}
+        return shown.get(self.verdict, self.verdict)
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts, ready for JSON."""
         return dict(make_plain(self)) | {"interval": make_plain(self.interval)}
@@ -150,14 +157,6 @@ def _show_std_error(parameter: ComparedParameter) -> Cell:
     return format_estimate(parameter.estimate, parameter.std_error)[1]
 
 
-def _show_outcome(parameter: ComparedParameter) -> Cell:
-    """Return the verdict, or the standard errors by which a parameter that agrees is off."""
-    agreeing = format_deviation(parameter.sigmas, np.inf)
-    # Agreement is said by its distance: no verdict hides a near miss.
-    outcome = {"differs": "DIFFERS", "agrees": agreeing}.get(parameter.verdict, parameter.verdict)
-    return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
-
-
 NAMES = (
     Column("id", align="right", of="id"),
     Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
@@ -181,7 +180,11 @@ COLUMNS = (
     Column(
         "%", align="decimal", detail=True, of=lambda p: format_estimate(p.estimate, p.std_error)[2]
     ),
-    Column("vs CAD", align="right", of=_show_outcome),
+    Column(
+        "vs CAD",
+        align="right",
+        of=lambda p: p.outcome if p.sigmas is None else Shown(p.sigmas, p.outcome),
+    ),
 )
 TORQUE_COLUMNS = (
     Column(

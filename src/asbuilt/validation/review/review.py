@@ -33,7 +33,6 @@ from asbuilt.validation.review.control_claims import (
     derive_scale_errors,
     list_gain_aliases,
     review_gains,
-    select_control_findings,
 )
 
 ORDER: tuple[ClaimStatus, ...] = ("contradicted", "supported", "undetermined")
@@ -108,10 +107,10 @@ class Review:
         sums = compare(self.result)
         return sums.n_differing, sums.n_compared
 
-    @cached_property
+    @property
     def first_findings(self) -> list[Finding]:
-        """The findings without which the verdicts cannot be read."""
-        return select_control_findings(self.findings)
+        """The findings on gains, without which the verdicts cannot be read."""
+        return [finding for finding in self.findings if finding.code.startswith("servo_")]
 
     def count(self, verdict: ClaimStatus) -> int:
         """Return the number of claims with a verdict."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +58,7 @@ def review_document(review: Review) -> dict[str, Any]:
         "base_parameters": {"contradicted": wrong, "tested": tested},
         "false_discovery_rate": FALSE_DISCOVERY_RATE,
         "misfit": review.misfit,
-        "plausible": {
-            name: getattr(review.tolerance, name) for name in ("mass", "centre", "inertia")
-        },
+        "plausible": asdict(review.tolerance),
         "claims": make_plain(review.claims),
         "effects": make_plain(review.result.effects),
         "warnings": list_warnings(review.findings),
