@@ -27,6 +27,7 @@ from asbuilt.tables import (
 )
 from asbuilt.validation.comparison.significance import RESOLUTION
 from asbuilt.validation.comparison.torque_change import MATTERS, evaluate_torque_cost
+from asbuilt.validation.prediction import name_torque_unit
 
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 
@@ -206,8 +207,8 @@ def tabulate_parameters(
     parameters: Sequence[ComparedParameter],
     *,
     level: float,
-    errors: str = "",
-    units: Sequence[str] = (),
+    errors: str,
+    units: Sequence[str],
 ) -> Table:
     """Return the table of compared parameters; its short text has the ten that matter most."""
     columns: tuple[Column, ...] = COLUMNS
@@ -247,8 +248,7 @@ def tabulate_parameters(
 
 def make_torque_column(units: Sequence[str]) -> Column:
     """Return the column of the torque of differences, for joints with these torque units."""
-    unit = "N m" if set(units) <= {"N m"} else "N m, N"
-    return Column("torque", unit, "decimal", 3, of="torque_total")
+    return Column("torque", name_torque_unit(units), "decimal", 3, of="torque_total")
 
 
 def rank_by_torque(parameters: Sequence[Tested]) -> tuple[Tested, ...]:
