@@ -221,8 +221,9 @@ def _make_verdict(
     # An order of means that the RMS errors contradict is one of few blocks.
     sure = known and strict <= VERDICT_LEVEL and (sigmas > 0) == (built < cad)
     outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
-    test = (sigmas, p, strict) if known else (None, None, None)
-    return JointComparison(joint, unit, cad, built, *test, outcome)
+    if not known:
+        return JointComparison(joint, unit, cad, built, None, None, None, outcome)
+    return JointComparison(joint, unit, cad, built, sigmas, p, strict, outcome)
 
 
 def _word_joint(joint: JointComparison) -> str:

@@ -117,12 +117,12 @@ class RecordingErrors:
         return {
             "source": self.source,
             "n_windows": self.n_windows,
-            **{name: error and error.as_dict() for name, error in self.errors().items()},
+            **{
+                name: errors and errors.as_dict()
+                for name in BY_RECORDING
+                for errors in (getattr(self, name),)
+            },
         }
-
-    def errors(self) -> dict[str, RolloutErrors | None]:
-        """Return the errors by name."""
-        return {name: getattr(self, name) for name in BY_RECORDING}
 
 
 BY_RECORDING = ("cad", "as_built", "no_physics", "regular")

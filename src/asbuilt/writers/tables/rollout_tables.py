@@ -13,7 +13,13 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrap_text
 from asbuilt.validation import Rollout, recording_name, rollout_findings
-from asbuilt.validation.rollout.position_errors import RolloutErrors, average_errors, position_unit
+from asbuilt.validation.rollout.position_errors import (
+    BY_RECORDING,
+    RecordingErrors,
+    RolloutErrors,
+    average_errors,
+    position_unit,
+)
 from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:
@@ -121,7 +127,7 @@ def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
             (
                 recording_name(run.source),
                 run.n_windows,
-                *(format_in_milli(errors and errors.rms_all) for errors in run.errors().values()),
+                *(_show_error(name, attrgetter("rms_all"), run) for name in BY_RECORDING),
             )
             for run in runs
         ),
@@ -131,7 +137,7 @@ def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
 
 
 def _show_error(
-    name: str, measure: Callable[[RolloutErrors], float | None], rollout: Rollout
+    name: str, measure: Callable[[RolloutErrors], float | None], rollout: Rollout | RecordingErrors
 ) -> Cell:
     """Return a measure of the errors that a rollout has by this name, in thousandths."""
     errors: RolloutErrors | None = getattr(rollout, name)
