@@ -30,7 +30,6 @@ from asbuilt.arrays import Array
 from asbuilt.description import (
     Link,
     LinkInertia,
-    Plausibility,
     RobotModel,
     add_plausibility,
     close_match,
@@ -78,7 +77,6 @@ def link_masses(
     about: Literal["com", "origin"] | None = None,
     products: Literal["tensor", "integral"] | None = None,
     prefer: GeometryKind = "visual",
-    thresholds: Plausibility | None = None,
 ) -> LinkMasses:
     """Compute the mass properties of links and compare them with the description's.
 
@@ -100,8 +98,6 @@ def link_masses(
         as entries of the "tensor" or as the plain "integral" of x y dm.
     prefer
         Geometry that counts where a link has both.
-    thresholds
-        Limits of what is plausible.
 
     Returns
     -------
@@ -124,15 +120,9 @@ def link_masses(
     ...
     asbuilt.errors.DescriptionError: two-link does not come from a URDF file, so it has no ...
     """
-    limits = thresholds or Plausibility()
     if table is not None:
         if density is not None or material is not None or meshes is not None:
             raise UsageError("a table has masses already; leave meshes, density and material out")
-        if about is None or products is None:
-            raise UsageError(
-                "a table does not state its conventions; give about ('com' or 'origin') and"
-                " products ('tensor' or 'integral')"
-            )
         links, findings = _read_table(model, Path(table), about, products)
     else:
         folder = None if meshes is None else Path(meshes)
@@ -140,7 +130,7 @@ def link_masses(
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
         links, findings = _weigh_solids(model, solids, _read_materials(model, density, material))
-    findings += [found for link in links for found in check_described_mass(link, limits)]
+    findings += [found for link in links for found in check_described_mass(link)]
     findings = list(add_plausibility(model, findings))
     return LinkMasses(model, sort_by_plausibility(links, findings), tuple(findings))
 
@@ -223,8 +213,8 @@ def _find_density(
 def _read_table(
     model: RobotModel,
     path: Path,
-    about: Literal["com", "origin"],
-    products: Literal["tensor", "integral"],
+    about: Literal["com", "origin"] | None,
+    products: Literal["tensor", "integral"] | None,
 ) -> tuple[list[LinkMass], list[Finding]]:
     read = read_cad_table(path, about=about, products=products)
     for name in read:
@@ -284,40 +274,37 @@ _HEADER = re.compile(r"^\s*(?P<name>[^\[(]+?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?
 def read_cad_table(
     path: str | Path,
     *,
-    about: Literal["com", "origin"],
-    products: Literal["tensor", "integral"],
-    mass_unit: str = "",
-    length_unit: str = "",
-    placements: Mapping[str, Array] | None = None,
+    about: Literal["com", "origin"] | None,
+    products: Literal["tensor", "integral"] | None,
 ) -> dict[str, CadLink]:
     """Read the mass properties of links from a CSV table, one row per part.
 
     Rows of one link add up.
 
     Columns `link, part, mass, cx, cy, cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz` (part is optional, other
-    usual names are understood). Units stand in the header, as in `mass [g]` and `Ixx [g mm^2]`, or
-    are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must be given
-    because files do not say them: the tensor is `about` the centre of mass or the origin of the
-    axes, and its `products` are the entries of the tensor, `-integral(x y dm)`, or the plain
-    integrals `+integral(x y dm)`. `placements` gives the pose (4, 4) of the axes of the table in
-    the frame of a link where the two differ. Raises `DescriptionError` with line and column.
+    usual names are understood). Units stand in the header, as in `mass [g]` and `Ixx [g mm^2]`;
+    nothing is assumed. Two conventions must be given because files do not say them: the tensor is
+    `about` the centre of mass or the origin of the axes, and its `products` are the entries of the
+    tensor, `-integral(x y dm)`, or the plain integrals `+integral(x y dm)`. Raises
+    `DescriptionError` with line and column, and `UsageError` without conventions.
     """
     path = Path(path)
     if about not in ("com", "origin") or products not in ("tensor", "integral"):
-        raise DescriptionError(
-            f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and"
-            " products='tensor' or 'integral'"
+        raise UsageError(
+            "a table does not state its conventions; give about ('com' or 'origin') and"
+            " products ('tensor' or 'integral')"
         )
     lines, separator = read_rows(path, ";\t,", "part")
     decimal_point = "," if separator == "," else "."  # which a comma in a number stands for
-    columns, factors = _find_columns(path, lines[0][1], mass_unit, length_unit)
+    header = lines[0][1]
+    columns, factors = _find_columns(path, header)
     parts: dict[str, list[tuple[str, LinkInertia]]] = {}
     warnings: dict[str, list[str]] = {}
     for number, cells in lines[1:]:
         place = f"{path}, line {number}"
-        if len(cells) < len(lines[0][1]) or any(cell.strip() for cell in cells[len(lines[0][1]) :]):
+        if len(cells) < len(header) or any(cell.strip() for cell in cells[len(header) :]):
             raise DescriptionError(
-                f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns; where"
+                f"{place}: {len(cells)} cells, but the header has {len(header)} columns; where"
                 " numbers have decimal commas, separate cells by semicolons"
             )
         values = {
@@ -331,8 +318,6 @@ def read_cad_table(
         }
         link = cells[columns["link"]].strip()
         inertia = _make_inertia(values, about, products)
-        if placements is not None and link in placements:
-            inertia = inertia.moved(placements[link])
         part = (
             cells[columns["part"]].strip()
             if "part" in columns
@@ -372,9 +357,7 @@ def _make_inertia(values: Mapping[str, float], about: str, products: str) -> Lin
     )
 
 
-def _find_columns(
-    path: Path, header: list[str], mass_unit: str, length_unit: str
-) -> tuple[dict[str, int], dict[str, float]]:
+def _find_columns(path: Path, header: list[str]) -> tuple[dict[str, int], dict[str, float]]:
     columns: dict[str, int] = {}
     factors: dict[str, float] = {}
     for position, cell in enumerate(header):
@@ -388,17 +371,12 @@ def _find_columns(
         columns[name] = position
         if name in DIMENSION:
             mass, length = DIMENSION[name]
-            given = match["unit"] or " ".join(
-                [mass_unit] * mass
-                + [f"{length_unit}^{length}"] * (length > 0 and bool(length_unit))
-            )
-            if not given.strip():
+            if not (match["unit"] or "").strip():
                 raise DescriptionError(
                     f"{path}: column {cell.strip()!r} states no unit; write it like 'Ixx [g mm^2]'"
-                    " or give mass_unit and length_unit"
                 )
             try:
-                factors[name] = parse_unit_factor(given, mass=mass, length=length)
+                factors[name] = parse_unit_factor(match["unit"], mass=mass, length=length)
             except DescriptionError as error:
                 raise DescriptionError(f"{path}: column {cell.strip()!r}: {error}") from None
     missing = [name for name in COLUMNS if name not in columns and name != "part"]

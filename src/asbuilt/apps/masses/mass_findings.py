@@ -94,7 +94,7 @@ def check_surface(link: str, solid: LinkSolid) -> list[Finding]:
     return findings
 
 
-def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
+def check_described_mass(link: LinkMass) -> list[Finding]:
     """Return what is implausible about the values of the description, beside the geometry."""
     if link.described is None:
         return [
@@ -103,7 +103,8 @@ def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
             )
         ]
     body = link.described
-    reason = link.described.inconsistency()
+    limits = Plausibility()
+    reason = body.inconsistency()
     findings = []
     if reason is not None:
         findings.append(make_link_finding("inconsistent_inertia", "error", link.name, reason))

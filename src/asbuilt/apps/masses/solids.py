@@ -294,18 +294,15 @@ def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
     bodies: list[tuple[str, LinkInertia]] = []
     warnings: list[str] = []
     for part in parts:
-        inertia, doubts = mesh_inertia(part)
+        inertia, doubts = _weigh_part(part)
         bodies.append((part.name or Path(part.path).stem, inertia))
         warnings.extend(f"link {name!r}, {doubt}" for doubt in doubts)
     total = LinkInertia(np.sum([inertia.parameters for _, inertia in bodies], axis=0))
     return CadLink(Link(name=name, inertia=total, parts=tuple(bodies)), tuple(warnings))
 
 
-def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
-    """Return the inertia of one part in the frame of its link, and warnings about its surface.
-
-    Raises `DescriptionError` as `link_from_meshes` does.
-    """
+def _weigh_part(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
+    """Return the inertia of one part in the frame of its link, and warnings about its surface."""
     if part.unit not in LENGTH:
         raise DescriptionError(
             f"{part.path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}"

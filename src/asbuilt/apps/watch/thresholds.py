@@ -386,40 +386,37 @@ def _fit_scale(
     probability: float,
 ) -> Array:
     """Return floor, slow part, fast part, model part and slow speed of the joints, (5, n)."""
-    residual, speed, model, step, unknown = (
-        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
-        for arrays in (
-            [log.residual for log in logs],
-            [log.qd for log in logs],
-            models,
-            [log.step for log in logs],
-            [log.unknown_friction for log in logs],
-        )
+    seen = np.stack(
+        [
+            np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
+            for arrays in (
+                [log.residual for log in logs],
+                [log.qd for log in logs],
+                models,
+                [log.step for log in logs],
+                [log.unknown_friction for log in logs],
+            )
+        ]
     )
     starts = _find_block_starts(logs, kept, seconds)
     least = [least_speed(delay_velocities(log), log.qd) for log in logs]
 
     def fit_joint(j: int) -> tuple[float, ...]:
         def find_slowness(slow_speed: float) -> Array:
-            near = [np.exp(-((speeds[:, j : j + 1] / slow_speed) ** 2)) for speeds in least]
-            lagged = (
-                apply_lag(log.share, x)[keep, 0]
-                for log, x, keep in zip(logs, near, kept, strict=True)
+            return np.concatenate(
+                [
+                    apply_lag(log.share, np.exp(-((speeds[:, [j]] / slow_speed) ** 2)))[keep, 0]
+                    for log, speeds, keep in zip(logs, least, kept, strict=True)
+                ]
             )
-            return np.concatenate([*lagged])
 
-        columns = (x[:, j].copy() for x in (residual, speed, model, step, unknown))
-        return _fit_parts(*columns, find_slowness, starts, probability)
+        return _fit_parts(seen[:, :, j].copy(), find_slowness, starts, probability)
 
-    return np.transpose([fit_joint(j) for j in range(residual.shape[1])])
+    return np.transpose([fit_joint(j) for j in range(seen.shape[2])])
 
 
 def _fit_parts(
-    residual: Array,
-    speed: Array,
-    model: Array,
-    step: Array,
-    unknown: Array,
+    seen: Array,
     find_slowness: Callable[[float], Array],
     starts: NDArray[Any],
     probability: float,
@@ -431,8 +428,10 @@ def _fit_parts(
     unknown friction are fitted as well. Of these the one counts that makes thresholds lowest:
     the geometric mean of `level S` with the level that block maxima exceed at the probability, if
     their tail is exponential. The most likely scale alone is not it: where it is too small, a few
-    samples would raise the level everywhere.
+    samples would raise the level everywhere. `seen` (5, N) are residual, speed, standard deviation
+    of the model, steps of torque and unknown friction.
     """
+    residual, speed, model, step, unknown = seen
     size = float(np.sqrt(np.mean(residual**2)))
     top = float(np.abs(speed).max()) or 1.0
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
