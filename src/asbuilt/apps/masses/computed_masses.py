@@ -15,7 +15,6 @@ from asbuilt.apps.masses.mass_findings import (
     LinkMass,
     check_described_mass,
     check_surface,
-    has_plausible_size,
     sort_by_plausibility,
 )
 from asbuilt.apps.masses.solids import (
@@ -26,7 +25,6 @@ from asbuilt.apps.masses.solids import (
     look_up_density,
     read_solids,
 )
-from asbuilt.arrays import Array
 from asbuilt.description import (
     Link,
     LinkInertia,
@@ -172,22 +170,20 @@ def _weigh_solids(
                 make_link_finding("no_geometry", "info", link.name, "it has no geometry")
             )
         parts = dict(link.parts) or {link.name: link.inertia}
-        scaled = list[Array]()
-        complete = bool(own)
-        for solid in own:
-            value = _find_density(solid, link.name, densities, parts)
-            complete = (
-                complete and value is not None and not solid.missing and has_plausible_size(solid)
-            )
-            scaled += [] if value is None else [value * solid.inertia.parameters]
-        sized = [solid for solid in own if has_plausible_size(solid)]
+        sized = [solid for solid in own if solid.has_plausible_size]
+        values = [_find_density(solid, link.name, densities, parts) for solid in sized]
+        scaled = [
+            value * solid.inertia.parameters
+            for solid, value in zip(sized, values, strict=True)
+            if value is not None and not solid.missing
+        ]
         known = [solid.corners for solid in sized if len(solid.corners)]
         corners = np.concatenate(known or [np.full((1, 3), np.nan)])
         links.append(
             LinkMass(
                 link.name,
                 link.inertia if link.inertia_known else None,
-                LinkInertia(np.sum(scaled, axis=0)) if complete and scaled else None,
+                LinkInertia(np.sum(scaled, axis=0)) if 0 < len(scaled) == len(own) else None,
                 own[0].kind if own else "",
                 sum(solid.inertia.mass for solid in sized) or float("nan"),
                 corners.min(axis=0),

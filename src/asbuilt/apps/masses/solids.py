@@ -51,6 +51,16 @@ class LinkSolid:
     closed: bool = True
     missing: tuple[str, ...] = ()
 
+    @property
+    def size(self) -> float:
+        """Longest side of the box around it [m], 0 without a body."""
+        return float(np.ptp(self.corners, axis=0).max()) if len(self.corners) else 0.0
+
+    @property
+    def has_plausible_size(self) -> bool:
+        """Whether no part of a robot is larger, so that length unit and scale are right."""
+        return self.size <= PLAUSIBLE_SIZE[1]
+
 
 def read_solids(
     model: RobotModel, folders: Sequence[Path] = (), *, prefer: GeometryKind = "visual"
@@ -122,9 +132,8 @@ def _read_solid(
         except DescriptionError as error:
             if geometry[0].tag != "mesh":
                 raise  # a number that makes no sense, not a file to look for elsewhere
-            missing.append(geometry[0].get("filename", geometry[0].tag))
             doubts.append(str(error))
-            continue
+            solid = None
         if solid is None:
             missing.append(geometry[0].get("filename", geometry[0].tag))
             continue

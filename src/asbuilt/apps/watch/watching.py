@@ -409,7 +409,7 @@ def _watch_log(
         tally.add(observer, observed, scale, limit)
     if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
-    found = join_events(events, thresholds.block_seconds)
+    found = join_events(events, thresholds)
     units = torque_units(observer.model)
     of_log = [
         *report_log(thresholds, tally),
