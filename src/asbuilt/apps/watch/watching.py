@@ -21,7 +21,7 @@ from asbuilt.apps.watch.watch_findings import (
 )
 from asbuilt.apps.watch.watched_log import POINTS, Trace, WatchedLog
 from asbuilt.arrays import Array, Mask
-from asbuilt.description import RobotModel, refuse_free_base
+from asbuilt.description import RobotModel
 from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment import (
     TOO_LITTLE,
@@ -295,10 +295,8 @@ def _choose_robot(
 
 
 def _refuse_free_base(result: IdentificationResult) -> None:
-    refuse_free_base(
-        result.robot,
-        result.model.n_floating,
-        "forces that its feet exert count as external torque; watching one is not possible yet",
+    result.model.require_root(
+        "forces that its feet exert count as external torque; watching one is not possible yet"
     )
 
 

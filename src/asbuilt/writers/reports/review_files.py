@@ -24,7 +24,7 @@ from asbuilt.tables import (
 )
 from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.comparison.significance import RESOLUTION
-from asbuilt.validation.prediction import LETTERS
+from asbuilt.validation.prediction import describe_letters
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
 from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
@@ -71,7 +71,7 @@ def review_text(
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
     letter = (
         f"{review.letter}: the description predicts these recordings to"
-        f" {format_share(review.error)} of the torque ({LETTERS.text})"
+        f" {format_share(review.error)} of the torque ({describe_letters()})"
     )
     shown = review.findings if full else review.first_findings
     return "\n".join(
