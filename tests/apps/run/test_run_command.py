@@ -17,7 +17,8 @@ import pytest
 
 import asbuilt
 from asbuilt import Recording
-from asbuilt.apps.run import DRIVERS, DriverRequest
+from asbuilt.apps.run import DRIVERS, DriverRequest, RunOptions
+from asbuilt.apps.run.folder import RunFolder, RunSettings
 from asbuilt.excitation import Motion
 from command_line import call
 
@@ -241,6 +242,23 @@ def test_folder_of_a_loop_is_not_overwritten(
     status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path / "none")
     assert status == 2
     assert "holds no loop to resume" in err
+
+
+def test_a_resumed_loop_goes_on_as_it_was_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = RunOptions(rounds=2, seconds=4.0)
+    settings = RunSettings(robot="two-link", on="virtual", options=options)
+    RunFolder(tmp_path).keep_settings(settings)
+    for given, said in (
+        (("--seconds", "30"), "--seconds is another one"),
+        (("--for", "payload"), "--for is another one"),
+        (("--motion", tmp_path / "motion.csv"), "--motion is another one"),
+    ):
+        status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path, *given)
+        assert status == 2
+        assert said in err
+    assert RunFolder(tmp_path).read_settings() == settings
 
 
 @pytest.mark.parametrize(

@@ -97,9 +97,9 @@ def add(
     if (id is None) == (id_from is None):
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
     asked = _make_study_options(drive, unchecked, filtering)
-    from asbuilt.apps.fleet.reduction.add import make_identity_finder as identity_from
+    from asbuilt.apps.fleet.reduction.log_source import make_identity_finder
 
-    identity = id if id is not None else identity_from(str(id_from))
+    identity = id if id is not None else make_identity_finder(str(id_from))
     with show_progress() as report:
         done = asbuilt.add_logs(
             ledger,
