@@ -220,6 +220,7 @@ def test_metal_moves_only_when_confirmed(
         (("--on", "virtual", "--until", "0"), "--until is 0"),
         (("--on", "virtual", "--for", "fun"), "torque, simulator, payload"),
         (("--on", "files:box", "--program", "nothing"), "unknown program"),
+        (("--on", "virtual", "--program", "csv"), "runs no controller program"),
     ],
 )
 def test_wrong_usage_is_one_error(

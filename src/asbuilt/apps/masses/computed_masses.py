@@ -123,6 +123,8 @@ def link_masses(
             raise UsageError("a table has masses already; leave meshes, density and material out")
         links, findings = _read_table(model, Path(table), about, products)
     else:
+        if about is not None or products is not None:
+            raise UsageError("about and products are conventions of a table; give one")
         folder = None if meshes is None else Path(meshes)
         if folder is not None and not folder.is_dir():
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
