@@ -292,10 +292,12 @@ def make_stream_observer(
 
 def _check_options(thresholds: Thresholds | None, options: WatchOptions) -> None:
     """Raise `UsageError` if other thresholds are asked for than those given."""
+    if thresholds is None:
+        return
     usual = WatchOptions()
     for name, what in (("bandwidth", "bandwidth [Hz]"), ("false_alarms_per_hour", "rate [1/h]")):
         asked = getattr(options, name)
-        known = asked if thresholds is None else getattr(thresholds, name)
+        known = getattr(thresholds, name)
         if asked not in (known, getattr(usual, name)):
             raise UsageError(
                 f"the thresholds were set for the {what} {known:g}, not {asked:g}",
