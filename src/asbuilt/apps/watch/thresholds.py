@@ -155,10 +155,14 @@ class Thresholds:
         """Return the largest residual that is no alarm [N m or N], shape of `qd`."""
         return self.level * self.scale(qd, slowness, model) + HALF * step + unknown_friction
 
+    def scale_of_log(self, observed: Observed, model: Array) -> Array:
+        """Return the scale S (N, n) along a log, from the model error."""
+        slowness = apply_lag(observed.share, self.slow(delay_velocities(observed), observed.qd))
+        return self.scale(observed.qd, slowness, model)
+
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
-        slowness = apply_lag(observed.share, self.slow(delay_velocities(observed), observed.qd))
-        scale = self.scale(observed.qd, slowness, error.std(observed.q, observed.qd, observed.qdd))
+        scale = self.scale_of_log(observed, error.std(observed.q, observed.qd, observed.qdd))
         return scale, self.level * scale + bound_residual(observed)
 
     def covariance(self, observed: Observed, scale: Array, error: ModelError) -> Array:
@@ -255,9 +259,7 @@ def set_thresholds(
     n = len(joint_names)
     _check_measured(logs, names)
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
-    kept = [np.ones(len(log.t), dtype=bool) for log in logs]
     seconds = max(LEVEL_BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
-    hours = sum(log.seconds for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
     if probability > LEVEL_MOST:
         highest = float(-np.log1p(-LEVEL_MOST) * n * 3600.0 / seconds)
@@ -267,7 +269,9 @@ def set_thresholds(
             value=false_alarms_per_hour,
             expected=highest,
         )
-    for last in (held_out, True):
+
+    def fit(kept: Sequence[Mask]) -> tuple[Thresholds, list[Array], list[Array]]:
+        """Return thresholds of level 1, their scales and what residuals have of them."""
         floor, slow_part, fast, model_part, slow_speed = _fit_scale(
             logs, models, kept, seconds, probability
         )
@@ -276,7 +280,7 @@ def set_thresholds(
             bandwidth=bandwidth,
             false_alarms_per_hour=false_alarms_per_hour,
             block_seconds=seconds,
-            hours=hours,
+            hours=sum(log.seconds for log in logs) / 3600.0,
             rate=float(np.median(np.concatenate([sampling_rates(log.t) for log in logs]))),
             level=np.ones(n),
             floor=floor,
@@ -290,14 +294,15 @@ def set_thresholds(
             held_out=held_out,
             filtered=filtered,
         )
-        scales = [made.of_log(log, error)[0] for log in logs]
-        ratios = [
-            np.maximum(np.abs(log.residual) - bound_residual(log), 0.0) / scale
-            for log, scale in zip(logs, scales, strict=True)
-        ]
-        if last:
-            break
+        scales = list(map(made.scale_of_log, logs, models))
+        excesses = (np.maximum(np.abs(log.residual) - bound_residual(log), 0.0) for log in logs)
+        return made, scales, list(map(np.divide, excesses, scales))
+
+    kept = [np.ones(len(log.t), dtype=bool) for log in logs]
+    made, scales, ratios = fit(kept)
+    if not held_out:
         kept = [_find_quiet(log, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
+        made, scales, ratios = fit(kept)
     made = replace(made, spread=_measure_spread(logs, scales, kept))
     maxima = np.concatenate(
         [block_maxima(log.t, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
