@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import asbuilt
-from asbuilt import Recording
-from asbuilt.apps.run import DRIVERS, DriverRequest, RunOptions
+from asbuilt import Recording, load_robot, random_fourier
+from asbuilt.apps.run import DRIVERS, DriverRequest, RunOptions, open_driver
 from asbuilt.apps.run.folder import RunFolder, RunSettings
 from asbuilt.excitation import Motion
 from command_line import call
@@ -243,6 +243,17 @@ def test_folder_of_a_loop_is_not_overwritten(
     status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path / "none")
     assert status == 2
     assert "holds no loop to resume" in err
+
+
+def test_a_motion_never_takes_the_number_of_another(tmp_path: Path) -> None:
+    robot = load_robot("two-link")
+    driver = open_driver("files", DriverRequest(model=robot, argument=str(tmp_path)))
+    first, second, third = (random_fourier(robot, seed, duration=4.0) for seed in range(3))
+    for motion in (first, second):
+        driver.waits_for(motion)  # type: ignore[attr-defined]
+    (tmp_path / "outbox" / "motion_1.csv").unlink()
+    assert "motion_2.csv" in driver.waits_for(second)  # type: ignore[attr-defined]
+    assert "motion_3.csv" in driver.waits_for(third)  # type: ignore[attr-defined]
 
 
 def test_a_resumed_loop_goes_on_as_it_was_set(
