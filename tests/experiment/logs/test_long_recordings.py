@@ -133,3 +133,29 @@ def test_files_that_a_sheet_lists_take_the_place_of_the_log(tmp_path, read):
     (tmp_path / "log.toml").write_text('[files]\ntorque = "other.csv"\n')
     with pytest.raises(RecordingError, match="no columns for joint positions"):
         read(tmp_path / "log.csv")
+
+
+def test_counters_go_on_to_the_last_row_of_a_stream(tmp_path):
+    q = 0.05 * np.arange(301)
+    frame = {"t": 0.01 * np.arange(301), "q_1": q % (2.0 * np.pi), "tau_1": np.cos(q)}
+    pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
+    chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=150))
+    assert [chunk.n_samples for chunk in chunks] == [150, 150, 1]
+    whole = np.concatenate([chunk.q[:, 0] for chunk in chunks])
+    np.testing.assert_allclose(np.diff(whole), 0.05, atol=1e-12)
+
+
+def test_rows_in_the_second_in_which_a_chunk_ends_are_kept(tmp_path):
+    nanoseconds = 1_000_003_000_000 + 10_000_000 * np.arange(400)
+    order = np.arange(400)
+    order[10::50], order[11::50] = order[11::50], order[10::50].copy()
+    q = np.sin(0.05 * np.arange(400))
+    columns = {
+        "stamp.sec": nanoseconds // 10**9,
+        "stamp.nanosec": nanoseconds % 10**9,
+        "q_1": q,
+        "tau_1": np.cos(0.05 * np.arange(400)),
+    }
+    pl.DataFrame(columns)[order].write_csv(tmp_path / "log.csv")
+    chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=150))
+    np.testing.assert_array_equal(np.concatenate([chunk.q[:, 0] for chunk in chunks]), q)

@@ -65,6 +65,13 @@ def test_csv(tmp_path: Path, logged: dict) -> None:
     assert_same(read_recording(tmp_path / "log.csv"), logged)
 
 
+def test_tabs_and_decimal_commas(tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text("t\tq_1\ttau_1\n0,0\t0,5\t1\n0,1\t0,25\t2,5\n")
+    recording = read_recording(tmp_path / "log.txt")
+    np.testing.assert_array_equal(recording.q, [[0.5], [0.25]])
+    np.testing.assert_array_equal(recording.tau, [[1.0], [2.5]])
+
+
 def test_semicolons_and_decimal_commas(tmp_path: Path, logged: dict) -> None:
     spread(logged).write_csv(tmp_path / "log.csv")
     text = (tmp_path / "log.csv").read_text().replace(",", ";").replace(".", ",")

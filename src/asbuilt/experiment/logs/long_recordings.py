@@ -92,6 +92,8 @@ def stream_recording(
     mender = LogMender(layout, sheet.zero)
     for first, columns in stream.chunks(layout.columns, chunk_samples):
         table = mender.mend(replace(stream.header, columns=columns))
+        if not table.n_samples:
+            continue
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(
             replace(chunk, notes=(*notes, *table.notes, *chunk.notes)), sheet, chosen

@@ -43,6 +43,8 @@ MOST = 1e12
 of a type, 3.4e38 or 1.8e308, where a sensor says nothing."""
 LATEST = 1e20
 """Largest time stamp, in any unit: nanoseconds since 1970 have 19 digits."""
+FEWEST_ROWS = 3
+"""Rows by which a part of a log may be judged."""
 ZERO = 0.02
 """Distance from one turn, relative to it, up to which the range of a counter is a turn."""
 
@@ -103,8 +105,22 @@ class LogMender:
 
     def mend(self, table: LogTable) -> LogTable:
         """Return a table with rows of one topic, in the order of time, and steady counters."""
-        if table.n_samples < 3:
-            return replace(table, notes=(*table.notes, *self._list_notes()))
+        mended: list[Mended] = []
+        kept = table
+        if table.n_samples >= FEWEST_ROWS:
+            kept, mended = self._mend_rows(table)
+        columns = dict(kept.columns)
+        # Fewer rows say nothing by themselves: for them holds what the parts before have said.
+        if any(self._rows):
+            mended += self._sign(columns)
+            self._unwrap(columns)
+        for part in mended:
+            first = self._mended.setdefault(part.kind, replace(part, count=0))
+            self._mended[part.kind] = replace(first, count=first.count + part.count)
+        return replace(kept, columns=columns, notes=(*table.notes, *self._list_notes()))
+
+    def _mend_rows(self, table: LogTable) -> tuple[LogTable, list[Mended]]:
+        """Return the rows of one topic in the order of time, and what was mended."""
         table, of_values = self._leave_absurd_values(table)
         joined, of_rows = join_topics(table, self._layout)
         if self._began is None and self._layout.time is not None and joined.n_samples:
@@ -113,18 +129,13 @@ class LogMender:
         self._rows = [self._rows[0] + joined.n_samples, self._rows[1] + table.n_samples]
         ordered, of_clock = mend_clock(later, self._layout, self._began, self._step)
         if of_clock:
-            times = ordered.columns[str(self._layout.time)]
-            self._latest = float(times[-1])
+            stamps = _read_stamps(ordered, self._layout)
+            self._latest = float(stamps[-1])
             if of_clock[0].kind == "grid":
                 self._latest = None
                 scale = self._layout.scales.get(str(self._layout.time), 1.0)
-                self._step = scale * float(times[-1] - times[0]) / (times.size - 1)
-        columns = dict(ordered.columns)
-        for part in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
-            first = self._mended.setdefault(part.kind, replace(part, count=0))
-            self._mended[part.kind] = replace(first, count=first.count + part.count)
-        self._unwrap(columns)
-        return replace(ordered, columns=columns, notes=(*table.notes, *self._list_notes()))
+                self._step = scale * float(stamps[-1] - stamps[0]) / (stamps.size - 1)
+        return ordered, [*of_values, *of_rows, *of_clock]
 
     def _list_notes(self) -> Iterator[str]:
         """Yield what was mended so far."""
@@ -170,7 +181,7 @@ class LogMender:
         """Return a part without rows that belong into the part before, where that was sorted."""
         if self._latest is None:
             return table
-        later = table.columns[str(self._layout.time)] > self._latest
+        later = _read_stamps(table, self._layout) > self._latest
         columns = {name: values[later] for name, values in table.columns.items()}
         return replace(table, columns=columns) if later.sum() > 2 else table
 
@@ -369,6 +380,14 @@ def mend_clock(
         text = "{count} of {rows} rows have the time stamp of another and were left out"
         notes.append(Mended("doubled", doubled, text))
     return replace(table, columns={k: v[kept] for k, v in table.columns.items()}), notes
+
+
+def _read_stamps(table: LogTable, layout: Layout) -> Array:
+    """Return the time stamps in the unit of their column, with nanoseconds of whole seconds."""
+    stamps = table.columns[str(layout.time)]
+    if layout.nanoseconds is None:
+        return stamps
+    return np.asarray(stamps + 1e-9 * table.columns[layout.nanoseconds])
 
 
 def _read_clock(table: LogTable, layout: Layout) -> Array:

@@ -101,7 +101,7 @@ def find_dialect(
     if separator is None:
         separator = _find_separator([lines[k] for k in body[:20]])
     names, *rest = (_split_fields(lines[k], separator) for k in body[:3])
-    decimal_comma = separator == ";" and any("," in cell for row in rest for cell in row)
+    decimal_comma = separator not in ("", ",") and any("," in cell for row in rest for cell in row)
     is_number = partial(_is_number, decimal_comma=decimal_comma)
     skip = body[0]
     data = names
