@@ -159,3 +159,19 @@ def test_rows_in_the_second_in_which_a_chunk_ends_are_kept(tmp_path):
     pl.DataFrame(columns)[order].write_csv(tmp_path / "log.csv")
     chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=150))
     np.testing.assert_array_equal(np.concatenate([chunk.q[:, 0] for chunk in chunks]), q)
+
+
+def test_a_stream_takes_the_channel_of_torques_that_follows_gravity(tmp_path):
+    robot = load_robot("two-link")
+    recording = simulate_recording(robot, random_fourier(robot, rng=1, duration=10.0), rate=100.0)
+    noise = np.random.default_rng(0).normal(size=recording.tau.shape)
+    columns = {
+        "t": recording.t,
+        **{f"q_{k + 1}": recording.q[:, k] for k in range(2)},
+        **{f"alpha_torque_{k + 1}": noise[:, k] for k in range(2)},
+        **{f"beta_torque_{k + 1}": recording.tau[:, k] for k in range(2)},
+    }
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    chunks = stream_recording(tmp_path / "log.csv", model=robot, chunk_samples=300)
+    tau = np.concatenate([chunk.tau for chunk in chunks])
+    np.testing.assert_allclose(tau, recording.tau, atol=1e-12)

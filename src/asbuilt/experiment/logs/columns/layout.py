@@ -66,7 +66,8 @@ class Layout:
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
     `tau_ext` where the log has them. A joint without a torque column has "" in its place.
-    `nanoseconds` is a column to add to the time, `offsets` are added to columns in SI.
+    `nanoseconds` is a column to add to the time, `offsets` are added to columns in SI. A layout is
+    `by_values` where these decided which of several channels of a quantity it has.
     """
 
     time: str | None
@@ -77,6 +78,7 @@ class Layout:
     notes: tuple[str, ...] = ()
     nanoseconds: str | None = None
     offsets: Mapping[str, float] = field(default_factory=dict)
+    by_values: bool = False
 
     @property
     def columns(self) -> list[str]:
@@ -188,6 +190,7 @@ def find_layout(
         "unknown" if measured is None else _TORQUES[measured],
         tuple(notes),
         find_nanoseconds(time.column, names) if time and own_time else None,
+        by_values=bool(chosen_channels),
     )
 
 
