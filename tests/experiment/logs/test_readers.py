@@ -65,6 +65,25 @@ def test_csv(tmp_path: Path, logged: dict) -> None:
     assert_same(read_recording(tmp_path / "log.csv"), logged)
 
 
+@pytest.mark.parametrize(
+    ("clock", "rows"),
+    [
+        ("time_ms", ["0", "300", "600", "1000"]),
+        ("stamp.sec,stamp.nanosec", ["100,0", "100,300000000", "100,600000000", "101,0"]),
+    ],
+)
+def test_files_of_a_quantity_each_keep_the_unit_of_their_clock(
+    tmp_path: Path, clock: str, rows: list[str]
+) -> None:
+    paths = [tmp_path / "run_positions.csv", tmp_path / "run_efforts.csv"]
+    for path, symbol in zip(paths, ("q", "tau"), strict=True):
+        lines = [f"{clock},{symbol}_1,{symbol}_2", *(f"{stamp},1,2" for stamp in rows)]
+        path.write_text("\n".join(lines))
+    recording = read_recording(paths)
+    assert recording.joint_names == ("joint_1", "joint_2")
+    np.testing.assert_allclose(recording.t - recording.t[0], [0.0, 0.3, 0.6, 1.0], atol=1e-12)
+
+
 def test_tabs_and_decimal_commas(tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("t\tq_1\ttau_1\n0,0\t0,5\t1\n0,1\t0,25\t2,5\n")
     recording = read_recording(tmp_path / "log.txt")
