@@ -84,6 +84,21 @@ def test_files_of_a_quantity_each_keep_the_unit_of_their_clock(
     np.testing.assert_allclose(recording.t - recording.t[0], [0.0, 0.3, 0.6, 1.0], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("angle", "torque"),
+    [("shoulder_pos_deg", "shoulder_eff_mNm"), ("shoulder [deg]", "shoulder [mNm]")],
+)
+def test_files_of_a_quantity_each_keep_the_units_of_their_columns(
+    tmp_path: Path, angle: str, torque: str
+) -> None:
+    (tmp_path / "run_positions.csv").write_text(f"t,{angle}\n0.0,90\n0.1,180\n")
+    (tmp_path / "run_efforts.csv").write_text(f"t,{torque}\n0.0,1500\n0.1,2000\n")
+    recording = read_recording([tmp_path / "run_positions.csv", tmp_path / "run_efforts.csv"])
+    assert recording.joint_names == ("shoulder",)
+    np.testing.assert_allclose(recording.q, [[np.pi / 2], [np.pi]])
+    np.testing.assert_allclose(recording.tau, [[1.5], [2.0]])
+
+
 def test_tabs_and_decimal_commas(tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("t\tq_1\ttau_1\n0,0\t0,5\t1\n0,1\t0,25\t2,5\n")
     recording = read_recording(tmp_path / "log.txt")

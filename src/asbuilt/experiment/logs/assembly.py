@@ -15,7 +15,12 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import sign_by_command
 from asbuilt.experiment.command.torque import drive_as_stated
 from asbuilt.experiment.logs.columns.layout import Layout
-from asbuilt.experiment.logs.columns.roles import find_nanoseconds, parse_file_quantity, recognise
+from asbuilt.experiment.logs.columns.roles import (
+    find_nanoseconds,
+    parse_file_quantity,
+    recognise,
+    split_unit,
+)
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -66,7 +71,8 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
                 columns[name] = values[rows[quantity]]
             else:
                 columns[f"{quantity}/{name}"] = values[rows[quantity]]
-                joint = name if role is None else role.joint or name
+                bare = split_unit(name, quantity)[0]
+                joint = bare if role is None else role.joint or bare
                 known[f"{quantity}/{name}"] = (quantity, joint)
     return LogTable(
         source=", ".join(table.source for table in parts.values()),
