@@ -135,6 +135,18 @@ def test_files_that_a_sheet_lists_take_the_place_of_the_log(tmp_path, read):
         read(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize("separator", [",", ";", " "])
+def test_a_mark_of_the_byte_order_is_no_part_of_a_number(tmp_path, separator):
+    rows = [[f"{x:.2f}" for x in (0.01 * k, 0.1 * k, k)] for k in range(50)]
+    text = "\n".join(separator.join(row) for row in rows)
+    (tmp_path / "log.txt").write_text(text, encoding="utf-8-sig")
+    sheet = {"columns": {"time": 1, "position": [2], "torque": [3]}}
+    (chunk,) = stream_recording(tmp_path / "log.txt", sheet=sheet)
+    for recording in (chunk, read_recording(tmp_path / "log.txt", sheet=sheet)):
+        np.testing.assert_allclose(recording.q[:, 0], 0.1 * np.arange(50))
+        assert recording.n_samples == 50
+
+
 def test_counters_go_on_to_the_last_row_of_a_stream(tmp_path):
     q = 0.05 * np.arange(301)
     frame = {"t": 0.01 * np.arange(301), "q_1": q % (2.0 * np.pi), "tau_1": np.cos(q)}
