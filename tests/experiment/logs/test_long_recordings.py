@@ -187,3 +187,16 @@ def test_a_stream_takes_the_channel_of_torques_that_follows_gravity(tmp_path):
     chunks = stream_recording(tmp_path / "log.csv", model=robot, chunk_samples=300)
     tau = np.concatenate([chunk.tau for chunk in chunks])
     np.testing.assert_allclose(tau, recording.tau, atol=1e-12)
+
+
+@pytest.mark.parametrize("began", [0.0, 1.7e9])
+@pytest.mark.parametrize("chunk_samples", [398, 399])
+def test_rounded_stamps_go_on_to_the_last_row_of_a_stream(tmp_path, began, chunk_samples):
+    t = 0.01 * np.arange(800)
+    stamps = began + np.floor(20.0 * t + 1e-9) / 20.0
+    columns = {"t": stamps, "q_1": np.sin(t), "tau_1": np.cos(t)}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=chunk_samples))
+    assert [chunk.n_samples for chunk in chunks][2:] == [800 - 2 * chunk_samples]
+    times = np.concatenate([chunk.t for chunk in chunks])
+    np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-6)

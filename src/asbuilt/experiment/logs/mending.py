@@ -99,6 +99,8 @@ class LogMender:
         self._latest: float | None = None
         self._began: float | None = None
         self._step: float | None = None
+        self._until = 0.0
+        self._rounded = 0.0
         self._mended: dict[str, Mended] = {}
         # Rows so far: without those of other topics, and all.
         self._rows = [0, 0]
@@ -109,6 +111,8 @@ class LogMender:
         kept = table
         if table.n_samples >= FEWEST_ROWS:
             kept, mended = self._mend_rows(table)
+        elif self._step is not None:
+            kept = self._continue_clock(table)
         columns = dict(kept.columns)
         # Fewer rows say nothing by themselves: for them holds what the parts before have said.
         if any(self._rows):
@@ -127,15 +131,39 @@ class LogMender:
             self._began = float(joined.columns[self._layout.time][0])
         later = self._leave_late_rows(joined)
         self._rows = [self._rows[0] + joined.n_samples, self._rows[1] + table.n_samples]
+        if self._step is not None and np.unique(_read_stamps(later, self._layout)).size == 1:
+            return self._continue_clock(later), [*of_values, *of_rows]
         ordered, of_clock = mend_clock(later, self._layout, self._began, self._step)
         if of_clock:
             stamps = _read_stamps(ordered, self._layout)
             self._latest = float(stamps[-1])
             if of_clock[0].kind == "grid":
                 self._latest = None
-                scale = self._layout.scales.get(str(self._layout.time), 1.0)
-                self._step = scale * float(stamps[-1] - stamps[0]) / (stamps.size - 1)
+                self._until = float(stamps[-1])
+                self._rounded = float(np.ptp(_read_stamps(later, self._layout) - stamps))
+                self._step = self._scale * float(stamps[-1] - stamps[0]) / (stamps.size - 1)
         return ordered, [*of_values, *of_rows, *of_clock]
+
+    @property
+    def _scale(self) -> float:
+        """Seconds of a unit of the clock."""
+        return self._layout.scales.get(str(self._layout.time), 1.0)
+
+    def _continue_clock(self, table: LogTable) -> LogTable:
+        """Return rows whose few stamps are rounded at the clock behind those of the part before."""
+        stamps = _read_stamps(table, self._layout)
+        if _is_dated(stamps[0] * self._scale):
+            stamps = stamps - (self._began or 0.0)
+        step = (self._step or 0.0) / self._scale
+        begin = self._until + step
+        if stamps[0] > begin + self._rounded:  # there is a gap between the parts
+            begin = float(stamps[0])
+        times = begin + step * np.arange(stamps.size)
+        self._until = float(times[-1])
+        columns = {**table.columns, str(self._layout.time): times}
+        if self._layout.nanoseconds is not None:
+            columns[self._layout.nanoseconds] = np.zeros(stamps.size)
+        return replace(table, columns=columns)
 
     def _list_notes(self) -> Iterator[str]:
         """Yield what was mended so far."""
@@ -462,12 +490,17 @@ def _with_clock(
     first = table.columns[time][0]
     scale = layout.scales.get(time, 1.0)
     columns = {**table.columns, time: first + grid / scale}
-    if abs(first) * scale > 1e6:
+    if _is_dated(first * scale):
         # A date has no digits left for steps: times count from the beginning of the log.
         columns[time] = (first - (first if began is None else began)) + grid / scale
     if layout.nanoseconds is not None:
         columns[layout.nanoseconds] = np.zeros_like(grid)
     return replace(table, columns=columns), [note]
+
+
+def _is_dated(seconds: float) -> bool:
+    """Return whether a clock counts from a date, not from the beginning of a log."""
+    return abs(seconds) > 1e6
 
 
 def _is_unsigned(values: Array, bits: int) -> bool:
