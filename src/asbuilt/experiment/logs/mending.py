@@ -158,9 +158,10 @@ class LogMender:
         begin = self._until + step
         if stamps[0] > begin + self._rounded:  # there is a gap between the parts
             begin = float(stamps[0])
-        times = begin + step * np.arange(stamps.size)
+        times = begin + step * np.arange(stamps.size, dtype=np.float64)
         self._until = float(times[-1])
-        columns = {**table.columns, str(self._layout.time): times}
+        columns = dict(table.columns)
+        columns[str(self._layout.time)] = times
         if self._layout.nanoseconds is not None:
             columns[self._layout.nanoseconds] = np.zeros(stamps.size)
         return replace(table, columns=columns)
