@@ -99,6 +99,16 @@ def test_files_of_a_quantity_each_keep_the_units_of_their_columns(
     np.testing.assert_allclose(recording.tau, [[1.5], [2.0]])
 
 
+def test_commands_without_a_unit_have_that_of_the_positions() -> None:
+    q = np.array([[0.0], [90.0], [180.0]])
+    log = {"t": [0.0, 0.1, 0.2], "q_deg": q, "q_command": q, "q_motor": q, "tau": 0.0 * q + 1.0}
+    sheet = {"columns": {"motor_position": ["q_motor"]}}
+    recording = read_recording(log, sheet=sheet)
+    for values in (recording.q, recording.command, recording.extra["q_motor"]):
+        np.testing.assert_allclose(values, np.deg2rad(q))
+    assert any("command columns name no unit" in note for note in recording.notes)
+
+
 def test_tabs_and_decimal_commas(tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("t\tq_1\ttau_1\n0,0\t0,5\t1\n0,1\t0,25\t2,5\n")
     recording = read_recording(tmp_path / "log.txt")

@@ -557,11 +557,15 @@ def _choose_scales(
 ) -> dict[str, float]:
     """Return the factor of each column to SI, and note what names of columns gave."""
     scales: dict[str, float] = {}
+    named = {role.unit for role in chosen["position"]}
     for quantity, group in chosen.items():
         unit = getattr(sheet.units, quantity, None)
-        unnamed = quantity == "command" and not any(role.unit for role in group)
-        if unit is None and (unnamed or quantity in ENCODERS.values()):
+        unnamed = not any(role.unit for role in group)
+        if unit is None and (quantity in ENCODERS.values() or (quantity == "command" and unnamed)):
             unit = sheet.units.position
+            if unit is None and unnamed and len(named) == 1 and named != {""}:
+                unit = next(iter(named))
+                notes.append(f"{quantity} columns name no unit and have the positions', {unit}")
         for role in group:
             scales[role.column] = role.scale if unit is None else parse_unit_scale(unit) or 1.0
         units = {role.unit for role in group if role.scale != 1.0}
