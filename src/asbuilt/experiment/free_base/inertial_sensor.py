@@ -126,9 +126,8 @@ def estimate_base_velocity(
     fallen = cumulative_trapezoid(acceleration, t, axis=0, initial=0)
     own, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
-    if (
-        known.size < recording.rate
-    ):  # it hardly touches: the drift is not known, and no velocity enters
+    if known.size < recording.rate:
+        # It hardly touches: the drift is not known, and no velocity enters.
         return fallen, np.zeros(3)
     off = (fallen - np.einsum("sij,sj->si", R, own))[known]
     turned = cumulative_trapezoid(R, t, axis=0, initial=0)
