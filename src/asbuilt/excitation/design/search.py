@@ -409,7 +409,7 @@ class DesignSearch:
             pose = low + rng.uniform(0.1, 0.9, size=n) * (high - low)
             for _ in range(6):
                 coefficients = shape + np.outer(constant, pose)
-                if min(float(slack.min()) for slack in program.margins(coefficients)) > 1e-6:
+                if program.smallest_margin(coefficients) > 1e-6:
                     return coefficients
                 # State constraints are broken by size more often than by place.
                 shape = 0.6 * shape
@@ -426,7 +426,7 @@ class DesignSearch:
         for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
             for pose in (middle, mean_pose):
                 inner: Array = coefficients + part * (pose - coefficients)
-                if min(float(slack.min()) for slack in program.margins(inner)) > 1e-6:
+                if program.smallest_margin(inner) > 1e-6:
                     return inner
         return None
 
@@ -445,7 +445,7 @@ class DesignSearch:
                 if isinstance(family, PointToPoint):
                     worst = -least if self._pace(trial) is None else 0.0
                 else:
-                    worst = min(float(slack.min()) for slack in grid.margins(trial))
+                    worst = grid.smallest_margin(trial)
                 # Strictly nothing: refined motions hold the limits at 1 kHz.
                 if worst >= 0:
                     return trial
