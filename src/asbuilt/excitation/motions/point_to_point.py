@@ -133,32 +133,7 @@ class PointToPoint(Parametrisation):
 
     def basis(self, t: Array, order: int) -> Array:
         """Return the derivative of this order of the basis functions."""
-        steps = self._list_steps()
-        edges = np.concatenate([[0.0], np.cumsum(steps)])
-        move = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(steps) - 1)
-        s = (t - edges[move]) / steps[move]
-        length = steps[move]
-        top = 1.5
-        hard = 4.5
-        speeding = s < 1 / 3
-        slowing = s > 2 / 3
-        if order == 0:
-            part = np.where(
-                speeding,
-                hard * s**2 / 2,
-                np.where(slowing, 1 - hard * (1 - s) ** 2 / 2, 0.25 + top * (s - 1 / 3)),
-            )
-        elif order == 1:
-            part = np.where(speeding, hard * s, np.where(slowing, hard * (1 - s), top)) / length
-        elif order == 2:
-            part = np.where(speeding, hard, np.where(slowing, -hard, 0.0)) / length**2
-        else:
-            part = np.zeros_like(s)
-        found = np.zeros((len(t), self.size))
-        rows = np.arange(len(t))
-        found[rows, move] = (1.0 if order == 0 else 0.0) - part
-        found[rows, move + 1] = part
-        return found
+        return self.motion(np.eye(self.size)).derivative(t, order)
 
     def motion(self, coefficients: Array) -> Motion:
         """Return the moves at the given times."""
