@@ -80,12 +80,12 @@ class MotionProgram(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A local optimum: coefficients (n_basis, n), value, iterations, convergence."""
+    """A local optimum of search `number`: coefficients (n_basis, n), value, iterations spent."""
 
     coefficients: Array
     value: float
-    iterations: int
-    converged: bool
+    iterations: int = 0
+    number: int = 0
 
 
 @dataclass(eq=False)
@@ -105,7 +105,6 @@ def solve(
     *,
     barrier: tuple[float, float] = (0.1, 1e-4),
     most_iterations: int = 400,
-    tolerance: float = 1e-4,
     cancelled: Callable[[], bool] = lambda: False,
     improved: Callable[[Array, float], None] | None = None,
 ) -> Optimum | None:
@@ -133,8 +132,6 @@ def solve(
     # On the central path: multiplier times slack is mu.
     duals = [mu / s for s in point.slacks]
     since = 0
-    last_value = -np.inf
-    converged = False
     spent = 0
     for spent in range(1, most_iterations + 1):  # noqa: B007
         if cancelled():
@@ -151,13 +148,9 @@ def solve(
         # Solved well enough for this barrier, or it does not get better: on to the next.
         if error < 10 * mu or since > SOLVER_STEPS:
             if mu <= mu_end * 1.0001:
-                converged = error < 10 * mu or point.value - last_value < tolerance
-                if converged or since > SOLVER_STEPS:
-                    break
-            else:
-                mu = max(mu_end, SOLVER_SHRINKAGE * mu)
-                since = 0
-                last_value = point.value
+                break
+            mu = max(mu_end, SOLVER_SHRINKAGE * mu)
+            since = 0
         # Gradient of the barrier function itself, by which the line search goes.
         steep = [_subtract_lower(mu / s) for s in point.slacks]
         slope = -point.gradient + _sum_all_slopes(program, point, steep)
@@ -200,7 +193,7 @@ def solve(
         point = moved
         if improved is not None:
             improved(point.coefficients, point.value)
-    return Optimum(point.coefficients, point.value, spent, converged)
+    return Optimum(point.coefficients, point.value, spent)
 
 
 def _flatten(by_coefficient: Array) -> Array:
@@ -316,8 +309,8 @@ def _search_line(
     direction = step.reshape(n, n_basis).T
     length = 1.0
     # As far as the linear constraints allow; curved ones are asked at each trial.
-    for slacks, basis, half in zip(point.slacks, program.bases, program.half, strict=False):
-        length = min(length, _find_way_to_zero(slacks, _approach_sides(basis @ direction / half)))
+    for sides, basis, half in zip(point.slacks, program.bases, program.half, strict=False):
+        length = min(length, _find_way_to_zero(sides, _approach_sides(basis @ direction / half)))
     reference = -point.value - mu * _evaluate_barrier(point.slacks)
     fall = float(slope @ step)
     for _ in range(SOLVER_BACKTRACKS):

@@ -16,11 +16,10 @@ from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
 from asbuilt.excitation.design.interior_point import Optimum, solve
 from asbuilt.excitation.design.multistart import (
-    Candidate,
     Deadline,
     SearchPool,
     SearchProgress,
-    rank_candidates,
+    rank_optima,
     search_all,
 )
 from asbuilt.excitation.information.information import draw_states, mean_information
@@ -82,7 +81,7 @@ class Task:
     """
 
     number: int
-    origin: Candidate | None = None
+    origin: Optimum | None = None
     refined_until: Deadline | None = None
     iterations: int = SEARCH_ITERATIONS
 
@@ -156,9 +155,9 @@ class DesignSearch:
 
     def run(
         self,
-        pool: SearchPool[Task, Candidate] | None,
+        pool: SearchPool[Task, Optimum | None] | None,
         progress: Callable[[SearchProgress], None] | None,
-    ) -> list[Candidate]:
+    ) -> list[Optimum]:
         """Return the candidates, best first, of all rounds for which work and time are left."""
         starts = self._options.starts
         batch = SEARCH_BATCH
@@ -167,7 +166,7 @@ class DesignSearch:
         lengths = [
             size + batch * math.ceil(SEARCH_RESTARTS_PER_START * size / batch) for size in sizes
         ]
-        found: list[Candidate] = []
+        found: list[Optimum] = []
         first = 0
         for size, length in zip(sizes, lengths, strict=True):
             # Something must be found before work or time may end the search.
@@ -175,7 +174,7 @@ class DesignSearch:
                 break
             best = found[0].value if found else -np.inf
             report = partial(self._report, progress, best, sum(lengths))
-            found = rank_candidates([*found, *self._run_round(first, size, length, pool, report)])
+            found = rank_optima([*found, *self._run_round(first, size, length, pool, report)])
             first += length
         return found
 
@@ -184,9 +183,9 @@ class DesignSearch:
         first: int,
         size: int,
         length: int,
-        pool: SearchPool[Task, Candidate] | None,
+        pool: SearchPool[Task, Optimum | None] | None,
         report: Callable[[int, float, SearchProgress], None],
-    ) -> list[Candidate]:
+    ) -> list[Optimum]:
         """Return the candidates of one round, best first; its searches are numbered from `first`.
 
         Random starts, then restarts from disturbed optima (basin hopping, Wales & Doye 1997) in
@@ -204,7 +203,7 @@ class DesignSearch:
             # The best parents in turn, whatever the number of cores: results do not depend on it.
             tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
             progress = partial(report, first + done, best)
-            found = rank_candidates([*found, *self._search_tasks(tasks, pool, progress)])
+            found = rank_optima([*found, *self._search_tasks(tasks, pool, progress)])
             # One gain starts the patience anew.
             idle = idle + 1 if found[0].value < best + SEARCH_LEAST_GAIN else 0
             done += batch
@@ -218,9 +217,9 @@ class DesignSearch:
     def _search_tasks(
         self,
         tasks: list[Task],
-        pool: SearchPool[Task, Candidate] | None,
+        pool: SearchPool[Task, Optimum | None] | None,
         progress: Callable[[SearchProgress], None],
-    ) -> list[Candidate]:
+    ) -> list[Optimum]:
         """Return the candidates, best first, of the tasks for which there is work left."""
         shared = share_iterations(tasks, self._iterations)
         found = search_all(shared, self.search, self._deadline, pool=pool, progress=progress)
@@ -229,11 +228,11 @@ class DesignSearch:
 
     def refine(
         self,
-        candidates: list[Candidate],
+        candidates: list[Optimum],
         deadline: Deadline,
-        pool: SearchPool[Task, Candidate] | None,
+        pool: SearchPool[Task, Optimum | None] | None,
         progress: Callable[[SearchProgress], None] | None,
-    ) -> list[Candidate]:
+    ) -> list[Optimum]:
         """Return the best of the candidates refined, best first, with the work that is left.
 
         Local optima are of nearly equal value: refined, another one may be best.
@@ -264,18 +263,19 @@ class DesignSearch:
             highest = max(best, own_best, state.best)
             progress(replace(state, finished=finished, planned=planned, best=highest))
 
-    def search(self, task: Task) -> Candidate:
-        """Return the candidate of a task, which depends on nothing else."""
+    def search(self, task: Task) -> Optimum | None:
+        """Return the optimum of a task, which depends on nothing else, if there is one."""
         if task.refined_until is not None:
             assert task.origin is not None
             return self._refine(task.origin, task.refined_until, task.iterations)
         # By seed and number: a task gives the same anywhere.
         rng = np.random.default_rng([self._options.seed, task.number])
         if task.origin is not None:
-            return self._restart(task, rng, task.origin)
-        start = self._draw_start(rng)
-        optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RANDOM, task.iterations)
-        return Candidate.of(task.number, optimum)
+            optimum = self._restart(task, rng, task.origin)
+        else:
+            start = self._draw_start(rng)
+            optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RANDOM, task.iterations)
+        return None if optimum is None else replace(optimum, number=task.number)
 
     def _solve(
         self,
@@ -292,7 +292,7 @@ class DesignSearch:
             program, start, barrier=barrier, most_iterations=iterations, cancelled=cancelled
         )
 
-    def _restart(self, task: Task, rng: np.random.Generator, parent: Candidate) -> Candidate:
+    def _restart(self, task: Task, rng: np.random.Generator, parent: Optimum) -> Optimum | None:
         for _ in range(10):
             other = self._draw_start(rng)
             if other is None:
@@ -304,10 +304,10 @@ class DesignSearch:
             )
             optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RESTART, task.iterations)
             if optimum is not None:
-                return Candidate.of(task.number, optimum)
-        return Candidate.of(task.number, None)
+                return optimum
+        return None
 
-    def _refine(self, candidate: Candidate, deadline: Deadline, iterations: int) -> Candidate:
+    def _refine(self, candidate: Optimum, deadline: Deadline, iterations: int) -> Optimum | None:
         coefficients = candidate.coefficients
         family = self.family
         value = candidate.value
@@ -325,24 +325,22 @@ class DesignSearch:
                 value = optimum.value
         kept = self._repair(coefficients, family)
         if kept is None:
-            return Candidate.of(candidate.number, None)
+            return None
         if isinstance(family, PointToPoint):
             # A controller's motion through the poses decides, not the search's nodes.
             moved = self._pace(kept)
             assert moved is not None
-            return Candidate(
-                candidate.number,
-                kept,
-                self._objective.value(mean_information(self._objective.information, *moved)),
-            )
-        return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
+            value = self._objective.value(mean_information(self._objective.information, *moved))
+        else:
+            value = dense.evaluate(*dense.states(kept)).value
+        return Optimum(kept, value, number=candidate.number)
 
     def _pace(self, poses: Array) -> tuple[Array, Array, Array] | None:
         """Return the states at 1 kHz of a controller's motion through the poses, if it has one."""
         motion = pace_moves(poses, self._bounds, self._constraints)
         return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
 
-    def motion(self, candidate: Candidate) -> Motion:
+    def motion(self, candidate: Optimum) -> Motion:
         """Return the motion of a refined candidate; poses are joined as a controller does.
 
         Moves whose torque is too large are slowed down.
