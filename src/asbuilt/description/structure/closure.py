@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, wraps
-from typing import ClassVar, Concatenate, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Concatenate, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from asbuilt.description.structure.loops import (
 from asbuilt.description.structure.parts import ROOT, Joint
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.findings import Cure, join_names
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
 
 CLOSED = 1e-4
 """Largest gap of a loop at the first posture, in its size or rad: numbers of four digits."""
@@ -312,22 +315,15 @@ def _choose_order(q: Array) -> Indices:
     return by_motor if sorted_way < way else given
 
 
-def derive_closure(
-    robot: str,
-    every: Sequence[Joint],
-    n: int,
-    loops: Sequence[Loop],
-    posture: Mapping[str, float],
-    places: Mapping[str, tuple[int, Array]],
-) -> Closure:
-    """Return how motors move the joints of all links, of which the first n have one, through loops.
+def derive_closure(model: RobotModel) -> Closure:
+    """Return how motors move the joints of all links of a robot through its loops.
 
-    `places` has link, `ROOT` for the root, and pose in it of each name; `posture` positions of
-    joints at which the loops are closed, roughly, others being where they usually are. Raises
-    `DescriptionError` where the loops do not close, leave a passive joint free, or are torn by a
-    motor.
+    They are closed at its posture, roughly, joints that it does not name being where they usually
+    are. Raises `DescriptionError` where the loops do not close, leave a passive joint free, or are
+    torn by a motor.
     """
-    found = _open(robot, every, n, loops, posture, places)
+    n = model.n_joints
+    found = _open(model)
     # The first posture is a guess: Newton may go far, and nothing is within a tolerance yet.
     (home,), quality = _run(found, found.home[None, :n].copy(), search=True)
     _check_closed(found, home, quality[0])
@@ -336,20 +332,17 @@ def derive_closure(
     return _derive_typical_shares(found)
 
 
-def _open(
-    robot: str,
-    every: Sequence[Joint],
-    n: int,
-    loops: Sequence[Loop],
-    posture: Mapping[str, float],
-    places: Mapping[str, tuple[int, Array]],
-) -> Closure:
+def _open(model: RobotModel) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
-    order, linear, offset = derive_linear_part(robot, every, n)
+    robot = model.name
+    n = model.n_joints
+    every = model.moving_joints
+    posture = model.posture
+    order, linear, offset = derive_linear_part(model)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
     tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
-    in_tree = {name: (place[link], pose) for name, (link, pose) in places.items()}
-    numbers = number_loops(robot, loops, tree, in_tree)
+    in_tree = {name: (place[link], pose) for name, (link, pose) in model.places.items()}
+    numbers = number_loops(robot, model.loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
     known = {joint.name for joint in every} | {joint.name_in_tree for joint in every}
     if unknown := sorted(posture.keys() - known):
@@ -394,7 +387,7 @@ def _open(
         array.setflags(write=False)
     return Closure(
         robot,
-        tuple(loops),
+        model.loops,
         tuple(joint.name for joint in coordinates),
         order,
         linear,
@@ -499,21 +492,14 @@ def _check_motors(found: Closure) -> None:
         )
 
 
-def find_passive_joints(
-    robot: str,
-    every: Sequence[Joint],
-    n: int,
-    loops: Sequence[Loop],
-    posture: Mapping[str, float],
-    places: Mapping[str, tuple[int, Array]],
-) -> list[str]:
+def find_passive_joints(model: RobotModel) -> list[str]:
     """Return joints of loops that have no motor, where the description does not name them.
 
     As many as the loops place: joints without limits of torque and drive first, then those far from
     the root, as long as the loops determine them.
     """
-    found = _open(robot, every, n, loops, posture, places)
-    joints = every[:n]
+    found = _open(model)
+    joints = model.joints
     u = found.home.copy()
     # No joint is known to be passive yet, so that all may move.
     for _ in range(SEARCH):  # Newton with the least motion of all joints

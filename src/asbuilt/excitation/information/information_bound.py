@@ -123,8 +123,8 @@ def information_bound(
 
     Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those
     with the largest d are added after climbing d within the limits, until the gap closes. At least
-    one round is made; the bound is looser if `cancelled` ends the search. Raises `MotionError` where
-    random states within `torque` do not determine all parameters.
+    one round is made; the bound is looser if `cancelled` ends the search. Raises `MotionError`
+    where random states within `torque` do not determine all parameters.
     """
     rng = np.random.default_rng([seed, 7])
     search = BoundSearch.of(information)
@@ -185,8 +185,8 @@ def _draw_pool(
         if enough and np.isfinite(DOptimality().value(mean_information(information, *pool))):
             return pool
     raise MotionError(
-        f"{information.model.name}: of {BATCHES * search.pool} random states {len(pool[0])} keep the"
-        " torque limits, too few to determine all base parameters",
+        f"{information.model.name}: of {BATCHES * search.pool} random states {len(pool[0])} keep"
+        " the torque limits, too few to determine all base parameters",
         cure=Cure("allow a larger share of the torque, or correct torque limits and masses"),
     )
 
