@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -144,6 +143,15 @@ class DesignSearch:
         work = self._n_nodes * (state + model.joint_map.work)
         self._iterations = round(options.starts * SEARCH_WORK / work)
         self._refinement = round(SEARCH_REFINED_STARTS * SEARCH_WORK / work)
+        # Random starts, and most searches with their restarts. Rounds end by themselves, so that a
+        # long search tries other regions.
+        starts = options.starts
+        sizes = [min(SEARCH_ROUND, starts - k) for k in range(0, starts, SEARCH_ROUND)]
+        restarts = [math.ceil(SEARCH_RESTARTS_PER_START * size / SEARCH_BATCH) for size in sizes]
+        self._rounds = [
+            (size, size + SEARCH_BATCH * batches)
+            for size, batches in zip(sizes, restarts, strict=True)
+        ]
 
     def _build_program(
         self, n_nodes: int, margin: tuple[float, float], family: Parametrisation | None = None
@@ -159,22 +167,16 @@ class DesignSearch:
         progress: Callable[[SearchProgress], None] | None,
     ) -> list[Optimum]:
         """Return the candidates, best first, of all rounds for which work and time are left."""
-        starts = self._options.starts
-        batch = SEARCH_BATCH
-        # Rounds end by themselves, so that a long search tries other regions.
-        sizes = [min(SEARCH_ROUND, starts - k) for k in range(0, starts, SEARCH_ROUND)]
-        lengths = [
-            size + batch * math.ceil(SEARCH_RESTARTS_PER_START * size / batch) for size in sizes
-        ]
         found: list[Optimum] = []
         first = 0
-        for size, length in zip(sizes, lengths, strict=True):
+        for size, length in self._rounds:
             # Something must be found before work or time may end the search.
             if found and self._is_over:
                 break
             best = found[0].value if found else -np.inf
-            report = partial(self._report, progress, best, sum(lengths))
-            found = rank_optima([*found, *self._run_round(first, size, length, pool, report)])
+            found = rank_optima(
+                [*found, *self._run_round(first, size, length, best, pool, progress)]
+            )
             first += length
         return found
 
@@ -183,8 +185,9 @@ class DesignSearch:
         first: int,
         size: int,
         length: int,
+        best_before: float,
         pool: SearchPool[Task, Optimum | None] | None,
-        report: Callable[[int, float, SearchProgress], None],
+        progress: Callable[[SearchProgress], None] | None,
     ) -> list[Optimum]:
         """Return the candidates of one round, best first; its searches are numbered from `first`.
 
@@ -192,21 +195,19 @@ class DesignSearch:
         batches, until some batches in a row bring no gain.
         """
         tasks = [Task(first + k) for k in range(size)]
-        progress = partial(report, first, -np.inf)
-        found = self._search_tasks(tasks, pool, progress)
+        found = self._search_tasks(tasks, best_before, pool, progress)
         idle = 0
         done = size
-        batch = SEARCH_BATCH
         while found and done < length and idle < SEARCH_IDLE_BATCHES and not self._is_over:
             best = found[0].value
             parents = found[:SEARCH_PARENTS]
             # The best parents in turn, whatever the number of cores: results do not depend on it.
-            tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
-            progress = partial(report, first + done, best)
-            found = rank_optima([*found, *self._search_tasks(tasks, pool, progress)])
+            tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(SEARCH_BATCH)]
+            restarted = self._search_tasks(tasks, max(best, best_before), pool, progress)
+            found = rank_optima([*found, *restarted])
             # One gain starts the patience anew.
             idle = idle + 1 if found[0].value < best + SEARCH_LEAST_GAIN else 0
-            done += batch
+            done += SEARCH_BATCH
         return found
 
     @property
@@ -217,12 +218,29 @@ class DesignSearch:
     def _search_tasks(
         self,
         tasks: list[Task],
+        best: float,
         pool: SearchPool[Task, Optimum | None] | None,
-        progress: Callable[[SearchProgress], None],
+        progress: Callable[[SearchProgress], None] | None,
     ) -> list[Optimum]:
-        """Return the candidates, best first, of the tasks for which there is work left."""
-        shared = share_iterations(tasks, self._iterations)
-        found = search_all(shared, self.search, self._deadline, pool=pool, progress=progress)
+        """Return the candidates, best first, of the tasks for which there is work left.
+
+        `best` is the value of the best candidate before.
+        """
+        planned = sum(length for _, length in self._rounds)
+
+        def report(state: SearchProgress) -> None:
+            assert progress is not None
+            finished = tasks[0].number + state.finished
+            highest = max(best, state.best)
+            progress(replace(state, finished=finished, planned=planned, best=highest))
+
+        found = search_all(
+            share_iterations(tasks, self._iterations),
+            self.search,
+            self._deadline,
+            pool=pool,
+            progress=report if progress else None,
+        )
         self._iterations -= sum(candidate.iterations for candidate in found)
         return found
 
@@ -248,20 +266,6 @@ class DesignSearch:
         # None of these holds its limits between the nodes: the next ones may.
         others = [replace(task, iterations=SEARCH_FEWEST_ITERATIONS) for task in others]
         return search_all(others, self.search, deadline, pool=pool, progress=progress)
-
-    @staticmethod
-    def _report(
-        progress: Callable[[SearchProgress], None] | None,
-        best: float,
-        planned: int,
-        before: int,
-        own_best: float,
-        state: SearchProgress,
-    ) -> None:
-        if progress is not None:
-            finished = before + state.finished
-            highest = max(best, own_best, state.best)
-            progress(replace(state, finished=finished, planned=planned, best=highest))
 
     def search(self, task: Task) -> Optimum | None:
         """Return the optimum of a task, which depends on nothing else, if there is one."""
@@ -418,15 +422,19 @@ class DesignSearch:
 
         They shrink just enough to be strictly feasible.
         """
-        mean_pose = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
-        middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         # As little as needed: shrinking gives information away.
         for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
-            for pose in (middle, mean_pose):
+            for pose in self._list_centres(program, coefficients):
                 inner: Array = coefficients + part * (pose - coefficients)
                 if program.smallest_margin(inner) > 1e-6:
                     return inner
         return None
+
+    def _list_centres(self, program: DesignProgram, coefficients: Array) -> list[Array]:
+        """Return coefficients of rest at the middle of the range and at the mean of the motion."""
+        middle = (self._bounds.lower + self._bounds.upper) / 2
+        mean = (program.bases[0] @ coefficients).mean(axis=0)
+        return [np.outer(self.family.constant, pose) for pose in (middle, mean)]
 
     def _repair(self, coefficients: Array, family: Parametrisation) -> Array | None:
         """Return the coefficients, shrunk until every constraint holds at 1 kHz."""
@@ -434,9 +442,7 @@ class DesignSearch:
             max(self._n_nodes, int(family.span * CHECK_RATE)), (0.0, 0.0), family
         )
         least, most = SEARCH_SHRINKAGE
-        middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
-        mean_pose = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
-        for pose in (middle, mean_pose):
+        for pose in self._list_centres(grid, coefficients):
             part = 0.0
             for _ in range(SEARCH_REPAIRS):
                 trial: Array = coefficients + part * (pose - coefficients)
