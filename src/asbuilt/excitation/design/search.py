@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
@@ -100,13 +99,13 @@ class DesignSearch:
 
     def __init__(
         self,
-        model: RobotModel,
         objective: Objective,
         options: DesignOptions,
         family: Parametrisation,
         constraints: tuple[StateConstraint, ...],
         deadline: Deadline,
     ) -> None:
+        model = objective.information.model
         self.family = family
         self._model = model
         self._objective = objective
