@@ -106,7 +106,6 @@ def solve(
     barrier: tuple[float, float] = (0.1, 1e-4),
     most_iterations: int = 400,
     cancelled: Callable[[], bool] = lambda: False,
-    improved: Callable[[Array, float], None] | None = None,
 ) -> Optimum | None:
     """Climb from strictly feasible coefficients; return None if the start is not feasible.
 
@@ -114,7 +113,6 @@ def solve(
     primal-dual multipliers for the constraints, whose curvature is exact to first order, and a
     damped BFGS approximation of the curvature of f (Nocedal & Wright 2006, chapter 19; Powell
     1978). Line search on the barrier function itself keeps all slacks positive.
-    `improved(coefficients, value)` is called with each iterate.
     """
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
@@ -191,8 +189,6 @@ def solve(
             fresh = False
         curvature = _update_curvature(curvature, shift, change)
         point = moved
-        if improved is not None:
-            improved(point.coefficients, point.value)
     return Optimum(point.coefficients, point.value, spent)
 
 
