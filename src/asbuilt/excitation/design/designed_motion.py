@@ -19,11 +19,15 @@ from asbuilt.excitation.design.static_poses import StaticDesign
 from asbuilt.excitation.information.information import (
     Criterion,
     Information,
-    complete_limits,
     mean_information,
 )
 from asbuilt.excitation.information.information_bound import InformationBound
-from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
+from asbuilt.excitation.limits import (
+    LimitReport,
+    MotionBounds,
+    check_motion,
+    complete_limits,
+)
 from asbuilt.excitation.motions.motion import JUMPING, Motion, check_limit_array
 from asbuilt.excitation.motions.parametrisation import Parametrisation
 from asbuilt.excitation.motions.point_to_point import CHECK_RATE

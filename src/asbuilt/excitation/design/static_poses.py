@@ -18,8 +18,13 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, plan_route, segments_free
-from asbuilt.excitation.information.information import DOptimality, Information, complete_limits
-from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
+from asbuilt.excitation.information.information import DOptimality, Information
+from asbuilt.excitation.limits import (
+    LimitReport,
+    MotionBounds,
+    check_motion,
+    complete_limits,
+)
 from asbuilt.excitation.motions.point_to_point import (
     CHECK_RATE,
     PointToPointMotion,

@@ -22,12 +22,6 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 
-ASSUMED = {
-    "position": ("lower", "upper"),
-    "velocity": ("velocity",),
-    "acceleration": ("acceleration",),
-}
-"""Quantities whose limits are assumed where the description lacks them, and the limits."""
 SCALING_STATES = 500
 """Random states over which the units of the parameters are averaged."""
 
@@ -240,23 +234,6 @@ def mean_information(information: Information, q: Array, qd: Array, qdd: Array) 
             information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part])
         )
     return total / len(q)
-
-
-def complete_limits(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
-    """Return the robot with complete limits, and the names of those that were assumed."""
-    bounds = MotionBounds.assumed(model)
-    names = [name for each in ASSUMED.values() for name in each]
-    limits = [
-        replace(joint.limits, **{name: float(getattr(bounds, name)[j]) for name in names})
-        for j, joint in enumerate(model.joints)
-    ]
-    assumed = dict.fromkeys(
-        quantity
-        for joint in model.joints
-        for quantity, needed in ASSUMED.items()
-        if not all(np.isfinite(getattr(joint.limits, name)) for name in needed)
-    )
-    return model.with_limits(limits), tuple(assumed)
 
 
 def draw_states(
