@@ -330,19 +330,20 @@ def refuse_open_postures(model: RobotModel) -> None:
     open_at = np.flatnonzero(~model.joint_map.exists(q))
     if not open_at.size:
         return
-    reach = []
+    reach: dict[str, str] = {}
     for j in range(n):
         line = np.tile(home, (TRIED, 1))
         line[:, j] = np.linspace(low[j], high[j], TRIED)
         closed = line[model.joint_map.exists(line), j]
         if len(closed) < TRIED:
-            reach.append(f"{model.joint_names[j]} {closed.min():.4g} to {closed.max():.4g}")
-    alone = f": alone, with the others at the first posture, {', '.join(reach)}" if reach else ""
+            reach[model.joint_names[j]] = f"{closed.min():.4g} to {closed.max():.4g}"
+    listed = ", ".join(f"{joint} {span}" for joint, span in reach.items())
+    alone = f": alone, with the others at the first posture, {listed}" if reach else ""
     raise MotionError(
         f"{model.name}: the loops do not close everywhere within the limits of the motors"
         f" ({open_at.size} of {len(q)} postures), so that no motion can be searched there",
         cure=Cure(f"narrow the limits of position to where they close{alone}"),
-        joint=next((each.split()[0] for each in reach), model.joint_names[0]),
+        joint=next(iter(reach), model.joint_names[0]),
     )
 
 

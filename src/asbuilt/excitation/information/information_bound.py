@@ -355,7 +355,8 @@ class InformationEfficiency:
         """Worst determined base parameter of each joint, None for a joint without any."""
         own = [np.flatnonzero(self.owners == k) for k in range(self.base.n_joints)]
         return tuple(
-            int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own
+            int(places[np.argmin(self.by_parameter[places])]) if places.size else None
+            for places in own
         )
 
     @property
@@ -427,7 +428,7 @@ def _find_bound(
     model: RobotModel, drive: DriveSet, widened: Limits
 ) -> tuple[BaseParameters, InformationBound]:
     base = find_base_parameters(model, drive)
-    lower, upper, velocity, acceleration, torque = (np.array(each) for each in widened)
+    lower, upper, velocity, acceleration, torque = (np.array(limit) for limit in widened)
     limits = replace(
         MotionBounds.assumed(model),
         lower=lower,
