@@ -161,7 +161,7 @@ def _measure_distances(first: Array, second: Array, bounds: MotionBounds) -> Arr
 
 
 def segments_free(
-    nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
+    nodes: Array, pairs: Sequence[Sequence[int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.bool_]:
     """Return whether the straight segment between each pair of nodes is free of collisions."""
     # Largest move of a joint between poses that are checked along a segment [rad or m].
@@ -182,7 +182,7 @@ def segments_free(
 
 
 def _select_free_segments(
-    nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
+    nodes: Array, pairs: Sequence[Sequence[int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.int64]:
     """Return the pairs of nodes (E, 2) whose segment is free."""
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)[segments_free(nodes, pairs, obstacles)]
