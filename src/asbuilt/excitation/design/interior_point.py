@@ -49,6 +49,11 @@ class MotionProgram(ABC):
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Evaluation:
         """Return the function to be maximised."""
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape of the coefficients, (n_basis, n)."""
+        return self.bases[0].shape[1], self.half.shape[1]
+
     def states(self, coefficients: Array) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations at the nodes."""
         return (
@@ -193,14 +198,13 @@ def solve(
 
 
 def _flatten(by_coefficient: Array) -> Array:
-    """Return (n_basis, n) joint by joint."""
+    """Return (n_basis, n) joint by joint; `reshape(n, n_basis).T` undoes it."""
     return by_coefficient.T.reshape(-1)
 
 
 def _build_metric(program: MotionProgram) -> Array:
     """Return the quadratic form of the mean squared normalised q, qd and qdd."""
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
+    n_basis, n = program.shape
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half in zip(program.bases[:3], program.half, strict=False):
         gram = basis.T @ basis / len(basis)
@@ -259,7 +263,7 @@ def _subtract_lower(sides: Array) -> Array:
 
 def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array]) -> Array:
     """Return `sum weights dv/dx` over all normalised values v."""
-    total = np.zeros((program.bases[0].shape[1], program.half.shape[1]))
+    total = np.zeros(program.shape)
     for basis, half, w in zip(program.bases, program.half, weights, strict=False):
         total += basis.T @ (w / half)
     flat = _flatten(total)
@@ -269,8 +273,7 @@ def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array])
 
 
 def _build_stiffness(program: MotionProgram, point: _Point, stiffness: list[Array]) -> Array:
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
+    n_basis, n = program.shape
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half, w in zip(program.bases, program.half, stiffness, strict=False):
         # Joints without a limit add nothing.
@@ -300,9 +303,7 @@ def _find_way_to_zero(values: Array, step: Array) -> float:
 def _search_line(
     program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float
 ) -> tuple[_Point | None, float]:
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
-    direction = step.reshape(n, n_basis).T
+    direction = step.reshape(program.shape[::-1]).T
     length = 1.0
     # As far as the linear constraints allow; curved ones are asked at each trial.
     for sides, basis, half in zip(point.slacks, program.bases, program.half, strict=False):
@@ -329,9 +330,7 @@ def _step_duals(
     program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
 ) -> list[Array]:
     """Take the Newton step of the positive multipliers and keep them near the central path."""
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
-    direction = step.reshape(n, n_basis).T
+    direction = step.reshape(program.shape[::-1]).T
     speeds = [
         basis @ direction / half for basis, half in zip(program.bases, program.half, strict=True)
     ]
