@@ -15,7 +15,7 @@ from PIL import Image
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
-from asbuilt.excitation.information.information import complete_limits
+from asbuilt.excitation.limits import complete_limits
 from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
 from asbuilt.findings import Cure
 from asbuilt.tables import format_share
