@@ -83,9 +83,9 @@ def _check_cutoff(cutoff: float, rate: float) -> None:
 def savitzky_golay_window(cutoff: float, rate: float) -> int:
     """Return the window length 2 m + 1 whose -3 dB point is nearest `cutoff` [Hz].
 
-    It is longer than the polynomial has coefficients. Schafer's rule
-    cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal
-    Processing Magazine, 2011).
+    It is longer than the polynomial has coefficients. Schafer's rule, cutoff / (rate / 2) =
+    (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine,
+    2011).
     """
     # Solved for m, half the window without its middle.
     half = ((DEGREE + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
