@@ -40,7 +40,7 @@ from asbuilt.identification.trajectories.simulated_robot import (
     ServoCoordinates,
 )
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, RecordingDelay
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
+from asbuilt.identification.uncertainty.pose_noise import MeanScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
@@ -128,7 +128,7 @@ class CommandedTorque(TorqueOrigin):
     servo: ServoEstimate
 
     @property
-    def expected(self) -> ExpectedScores | None:
+    def expected(self) -> MeanScores | None:
         """Scores that noise of the positions lends the parameters through the law."""
         return self.servo.expected
 

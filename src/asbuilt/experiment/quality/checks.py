@@ -285,7 +285,7 @@ def check_recording(
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
         findings += check_followers(model, beginning) if follows else ()
-    findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
+    findings += report_locks(model)
     reported = {(finding.code, finding.link) for finding in findings}
     findings += (f for f in _report_description(model) if (f.code, f.link) not in reported)
     findings += map(_report_note, known.first.notes)
