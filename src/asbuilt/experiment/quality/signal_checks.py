@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices, Mask, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.command.magnitude import (
@@ -214,7 +214,7 @@ def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> 
 
 def _mark_weight_bearing(model: RobotModel, recording: Recording) -> Mask:
     """Return which joints (n,) bear a weight of one sign, positive, at all positions met."""
-    q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
+    q = recording.q[find_finite_rows(recording.q)]
     # Poses of a recording at which gravity is looked at.
     q = q[:: max(1, len(q) // 200)]
     weight = inverse_dynamics(model, q, np.zeros(q.shape), np.zeros(q.shape), threads=1)

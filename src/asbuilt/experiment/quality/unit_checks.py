@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
@@ -47,7 +47,7 @@ def check_position_unit(
     if not all(joint.is_revolute for joint in model.joints):
         return None
     q = statistics.first.q
-    known = q[np.all(np.isfinite(q), axis=1)]
+    known = q[find_finite_rows(q)]
     largest = float(np.nanmax(statistics.position_range.furthest, initial=0.0))
     # Whole numbers within a turn could be radians by chance; beyond they are counts.
     if known.size and largest > LARGEST_RADIANS and np.all(known == np.round(known)):

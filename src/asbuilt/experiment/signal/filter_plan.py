@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.experiment.signal.differentiation import (
@@ -184,7 +184,7 @@ class FilterPlan:
 
         Empty where rates are logged, whose noise is another.
         """
-        q = q[np.isfinite(q).all(axis=1)]
+        q = q[find_finite_rows(q)]
         if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
             return ()
         # An impulse through everything that acts on positions: its squares sum to the noise gain.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask, find_true_rows
+from asbuilt.arrays import Array, Indices, Mask, find_finite_rows
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
 from asbuilt.findings import Cure
@@ -181,9 +181,7 @@ def plan_uniform_grid(
         If nothing is left, or `rate` is far above the rate of the log.
     """
     n = recording.n_samples
-    finite = np.isfinite(recording.t)
-    for values in (recording.q, recording.tau):
-        finite &= ~find_true_rows(~np.isfinite(values))
+    finite = find_finite_rows(recording.t, recording.q, recording.tau)
     later = np.flatnonzero(find_advancing_rows(recording.t, finite))
     kept_rows = _drop_repeats(recording, later)
     n_finite = int(finite.sum())
