@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
 from asbuilt.codec import format_toml, format_toml_key
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
@@ -24,7 +23,7 @@ from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.recordings import Recorded, read_fitted_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.checks import RecordingCheck, check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import OF_JOINTS, Recording
 from asbuilt.findings import Cure
 
 MOST_ROUNDS = 8
@@ -266,19 +265,13 @@ def _complete(
 
 def _are_equal(one: Recording, other: Recording) -> bool:
     """Return whether two readings of a log have the same joints and values."""
-    pairs: list[tuple[Array | None, Array | None]] = [
-        (one.t, other.t),
-        (one.q, other.q),
-        (one.tau, other.tau),
-        (one.qd, other.qd),
-        (one.command, other.command),
-    ]
+    pairs = [(getattr(one, name), getattr(other, name)) for name in ("t", *OF_JOINTS)]
     same = all(
-        (a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True))  # type: ignore[arg-type]
+        b is None if a is None else b is not None and np.array_equal(a, b, equal_nan=True)
         for a, b in pairs
     )
     return (
-        same and one.joint_names == other.joint_names and one.torque_source == (other.torque_source)
+        same and one.joint_names == other.joint_names and one.torque_source == other.torque_source
     )
 
 

@@ -346,37 +346,30 @@ def _find_not_finite(statistics: FirstPass) -> Iterator[Finding]:
 def _find_wrong_unit(step: float) -> Iterator[Finding]:
     """Find a clock with a rate that no controller has."""
     rate = 1.0 / step
-    # Controllers on the market log at 5 Hz to 100 kHz.
-    if rate > 1e5:
-        yield Finding(
-            "clock_unit",
-            "error",
-            f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): the unit of the time"
-            " stamps is not the one that their name or the sheet gives",
-            Cure('write the unit in a recording sheet: units = { time = "s" }'),
-        )
-    # Even as nanoseconds no controller is this slow.
-    if rate < min(_CLOCK_UNITS.values()):
-        yield Finding(
-            "clock_unit",
-            "error",
-            f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): the time stamps are in no"
-            " known unit",
-            Cure("write true times, or a column of them, and their unit in a recording sheet"),
-        )
     # A unit under which the rate is a usual one.
     unit = next((u for u, factor in _CLOCK_UNITS.items() if 20.0 <= rate / factor <= 20e3), None)
-    if rate < 5.0 and unit is not None:
-        yield Finding(
-            "clock_unit",
-            "error",
-            f"the sampling rate is {rate:.3g} Hz ({step:.4g} s a sample): the time stamps look"
-            f" like {unit}",
-            Cure(
-                f'write the unit in a recording sheet: units = {{ time = "{unit}" }}',
-                sheet={"units": {"time": unit}},
-            ),
+    # Controllers on the market log at 5 Hz to 100 kHz.
+    if rate > 1e5:
+        problem = "the unit of the time stamps is not the one that their name or the sheet gives"
+        cure = Cure('write the unit in a recording sheet: units = { time = "s" }')
+    # Even as nanoseconds no controller is this slow.
+    elif rate < min(_CLOCK_UNITS.values()):
+        problem = "the time stamps are in no known unit"
+        cure = Cure("write true times, or a column of them, and their unit in a recording sheet")
+    elif rate < 5.0 and unit is not None:
+        problem = f"the time stamps look like {unit}"
+        cure = Cure(
+            f'write the unit in a recording sheet: units = {{ time = "{unit}" }}',
+            sheet={"units": {"time": unit}},
         )
+    else:
+        return
+    yield Finding(
+        "clock_unit",
+        "error",
+        f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): {problem}",
+        cure,
+    )
 
 
 def _find_stale(statistics: FirstPass) -> Iterator[Finding]:

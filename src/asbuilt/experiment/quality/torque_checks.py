@@ -441,6 +441,13 @@ def _report_part_of_limits(model: RobotModel, part: str, evidence: str) -> Findi
 
 CURRENT_GAINS = 0.3, 300.0
 """Torque per current [N m/A] of joints with gears, from a finger's to the base of a large arm."""
+GIVE_GAINS = Cure(
+    "give the gains in N m per logged unit, one per joint, here or as gains = [...] in a recording"
+    " sheet; a payload of known mass determines them",
+    settings={"torque_source": "current"},
+    call="find_gains",
+)
+"""Cure of torques that are currents."""
 
 
 def _report_current(
@@ -459,12 +466,7 @@ def _report_current(
         severity,
         f"the torques are currents without gains: by the masses of {model.name} one logged unit"
         f" makes {listed}{as_amperes}",
-        Cure(
-            "give the gains in N m per logged unit, one per joint, here or as gains = [...] in a"
-            " recording sheet; a payload of known mass determines them",
-            settings={"torque_source": "current"},
-            call="find_gains",
-        ),
+        GIVE_GAINS,
     )
 
 
@@ -515,12 +517,7 @@ def _report_scale(
         )
     elif 0.005 < scale < 0.3:
         guess = "they look like motor currents without gains"
-        cure = Cure(
-            "give the gains in N m/A, one per joint, here or as gains = [...] in a recording sheet;"
-            " a payload of known mass determines them",
-            settings={"torque_source": "current"},
-            call="find_gains",
-        )
+        cure = GIVE_GAINS
     else:
         guess = "the unit or the robot differs"
         cure = Cure("give the gain that converts them to N m, or units in a recording sheet")
