@@ -227,7 +227,7 @@ def test_parameters_of_a_joint_at_rest_are_named_as_undetermined(
 ) -> None:
     q = np.array(clean.q)
     q[:, 0] = 0.3
-    assert "Izz1" in finding(iiwa, replace(clean, q=q, qd=None), "rank_deficient").message
+    assert "Fv1" in finding(iiwa, replace(clean, q=q, qd=None), "rank_deficient").message
 
 
 def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) -> None:

@@ -21,6 +21,7 @@ from asbuilt.experiment.quality.reductions import (
     smooth_motion,
 )
 from asbuilt.experiment.recording import (
+    UNWRAPPED,
     Recording,
     find_changed_rows,
     join_recordings,
@@ -113,6 +114,14 @@ class FirstPass:
     def rate(self) -> float:
         """Inverse of the median positive time step [Hz]; NaN if there is none."""
         return 1.0 / self.clock.step
+
+    @property
+    def wrap(self) -> float:
+        """Position at which counters began again, as logged; 0 where none did."""
+        for note in self.first.notes:
+            if note.startswith(UNWRAPPED):
+                return float(note.removeprefix(UNWRAPPED).split()[0])
+        return 0.0
 
     @property
     def duration(self) -> float:

@@ -24,7 +24,7 @@ from asbuilt.experiment.quality.torque_fit import (
     find_swapped_torques,
     infer_density,
 )
-from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE, UNWRAPPED
+from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
 CERTAIN = 0.95
@@ -74,7 +74,7 @@ def check_torques(
     stated = "zero" in statistics.first.stated
     other = check_conventions(best, believed=stated)
     if other is None and not stated:
-        other = check_zeros(best, of_encoders=_list_wrapped_joints(statistics))
+        other = check_zeros(best, of_encoders=statistics.wrap > 0.0)
     if best is not fit:
         yield _report_swapped(fit, best, "error" if by_masses > 0 else "warning")
     if other is not None:
@@ -84,12 +84,6 @@ def check_torques(
     elif best is fit:
         yield from _find_swapped_without_cad(fit)
     yield from _check_sign_and_scale(statistics, best, ratio)
-
-
-def _list_wrapped_joints(statistics: FirstPass) -> tuple[int, ...]:
-    """Return the joints of a log whose counters begin again within the motion."""
-    wrapped = any(note.startswith(UNWRAPPED) for note in statistics.first.notes)
-    return tuple(range(statistics.n_joints)) if wrapped else ()
 
 
 def _check_without_masses(statistics: FirstPass, fit: TorqueFit) -> Iterator[Finding]:
