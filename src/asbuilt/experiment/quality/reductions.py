@@ -22,31 +22,22 @@ ZERO, UNKNOWN, HIGHEST, LOWEST = (
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """Hold count, lowest and highest finite value of each column, all (n,); infinite if none."""
+    """Hold count, lowest and highest value of each column, all (n,); infinite if there is none."""
 
     count: Indices = field(default_factory=ZERO)
     low: Array = field(default_factory=HIGHEST)
     high: Array = field(default_factory=LOWEST)
 
     def with_more(self, values: Array) -> Extremes:
-        """Include further values (N, n); those that are not finite do not count."""
+        """Include further values (N, n); NaN is none."""
         if not values.size:
             return self
-        low = values.min(axis=0)
-        high = values.max(axis=0)
-        if np.isfinite(low).all() and np.isfinite(high).all():
-            # The usual case, without a mask of all values.
-            return Extremes(
-                self.count + np.full(low.shape, len(values)),
-                np.minimum(self.low, low),
-                np.maximum(self.high, high),
-            )
-        # NaN would win every minimum, so that it is masked.
-        finite = np.isfinite(values)
+        # By columns in memory, as rows are short.
+        columns = np.ascontiguousarray(values.T)
         return Extremes(
-            self.count + finite.sum(axis=0),
-            np.minimum(self.low, values.min(axis=0, where=finite, initial=np.inf)),
-            np.maximum(self.high, values.max(axis=0, where=finite, initial=-np.inf)),
+            self.count + np.count_nonzero(~np.isnan(columns), axis=1),
+            np.fmin(self.low, np.fmin.reduce(columns, axis=1)),
+            np.fmax(self.high, np.fmax.reduce(columns, axis=1)),
         )
 
     @property

@@ -17,10 +17,10 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.readers import find_sheet, find_table_layout, read_table
 from asbuilt.experiment.logs.reading_options import ReadingOptions
-from asbuilt.experiment.logs.recordings import Recorded, read_fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.checks import RecordingCheck, check_recording
 from asbuilt.experiment.recording import OF_JOINTS, Recording
@@ -138,7 +138,7 @@ def propose_sheet(
         reasons.append(reason.replace(f"{paths[0]}", paths[0].name))
     changed = content != start
     if problem is None and check is not None:
-        content = _complete(model, paths, chosen, content, head_of_recorded(recording))
+        content = _complete(model, paths, chosen, content, head_of(recording))
     return SheetProposal(content, tuple(reasons), changed, check, problem)
 
 
@@ -170,12 +170,6 @@ def _state_options(
         stated["sign"] = -1
         left = replace(left, flip_torque=False)
     return stated, left
-
-
-def head_of_recorded(recording: Recorded) -> Recording:
-    """Return a recording in memory, or the beginning of a stream."""
-    assert isinstance(recording, Recording | RecordingStream)
-    return head_of(recording)
 
 
 def _read(
@@ -257,7 +251,7 @@ def _complete(
         layout = find_table_layout(table, sheet, model.on_held_base, options)
         # Completed sheets are kept only if they read the same.
         full = merge_fields(content, _list_columns(table, layout, content))
-        again = head_of_recorded(_read(model, paths, options, full)[1])
+        again = head_of(_read(model, paths, options, full)[1])
     except (AsbuiltError, ValueError):
         return dict(content)
     return full if _are_equal(recording, again) else dict(content)
@@ -285,6 +279,7 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
         # Columns without names go by number, counted from 1.
         return column if table.named else order.index(column) + 1
 
+    stated = content.get("units", {})
     columns: dict[str, Any] = {}
     units: dict[str, str] = {}
     for quantity in LISTED:
@@ -293,7 +288,7 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
             continue
         columns[quantity] = [name(column) for column in names]
         # A unit that the sheet states wins over one that was guessed.
-        if quantity in content.get("units", {}):
+        if quantity in stated:
             continue
         # Columns of several units have no one name: the sheet says nothing of them.
         unit = _name_unit(quantity, [layout.scales.get(column, 1.0) for column in names])
@@ -303,15 +298,14 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
     if layout.time is not None and layout.nanoseconds is None:
         columns["time"] = name(layout.time)
         unit = _name_unit("time", [layout.scales.get(layout.time, 1.0)])
-        units |= {"time": unit} if unit else {}
-    known = content.get("units", {})
+        units |= {"time": unit} if unit and "time" not in stated else {}
     found: dict[str, Any] = {"columns": columns}
-    if added := {quantity: unit for quantity, unit in units.items() if quantity not in known}:
-        found["units"] = added
+    if units:
+        found["units"] = units
     if table.named:
         found["joints"] = list(layout.joint_names)
     if layout.torque_source != "unknown":
-        found.setdefault("torque_source", content.get("torque_source", layout.torque_source))
+        found["torque_source"] = content.get("torque_source", layout.torque_source)
     return found
 
 
