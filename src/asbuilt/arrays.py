@@ -31,9 +31,8 @@ def find_finite_rows(*channels: Array | None) -> Mask:
     [True, False, False]
     """
     known = [np.atleast_2d(channel.T).T for channel in channels if channel is not None]
-    return np.logical_not(
-        np.logical_or.reduce([find_true_rows(~np.isfinite(channel)) for channel in known])
-    )
+    lacking = [find_true_rows(~np.isfinite(channel)) for channel in known]
+    return ~np.asarray(np.logical_or.reduce(lacking))
 
 
 def find_true_ranges(mask: Mask) -> list[tuple[int, int]]:
