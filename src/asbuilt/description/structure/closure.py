@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,11 +24,9 @@ from asbuilt.description.structure.loops import (
     number_loops,
 )
 from asbuilt.description.structure.parts import ROOT, Joint
+from asbuilt.description.structure.robot import RobotParts
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.findings import Cure, join_names
-
-if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
 
 CLOSED = 1e-4
 """Largest gap of a loop at the first posture, in its size or rad: numbers of four digits."""
@@ -251,7 +249,7 @@ class Closure(JointMap):
         )
 
 
-def derive_closure(model: RobotModel) -> Closure:
+def derive_closure(model: RobotParts) -> Closure:
     """Return how motors move the joints of all links of a robot through its loops.
 
     They are closed at its posture, roughly, joints that it does not name being where they usually
@@ -269,7 +267,7 @@ def derive_closure(model: RobotModel) -> Closure:
     return _derive_typical_shares(found)
 
 
-def _open(model: RobotModel) -> Closure:
+def _open(model: RobotParts) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
     robot = model.name
     n = model.n_joints
@@ -277,7 +275,7 @@ def _open(model: RobotModel) -> Closure:
     posture = model.posture
     order, linear, offset = derive_linear_part(model)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
-    tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
+    tree, _, _ = model.in_tree_order()
     in_tree = {name: (place[link], pose) for name, (link, pose) in model.places.items()}
     numbers = number_loops(robot, model.loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
@@ -352,8 +350,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         raise DescriptionError(
             f"{robot}: the {found.loops[worst]} does not close: a gap of {gap} stays at the first"
             f" posture ({_format_posture(found, u)}); check lengths and points, or give a posture"
-            " nearer"
-            " to a closed one",
+            " nearer to a closed one",
             gap=gaps[worst],
         )
     if quality[2] > 0.0:
@@ -370,8 +367,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         )
     raise DescriptionError(
         f"{robot}: the first posture ({_format_posture(found, u)}) is singular: there the motors"
-        " do not"
-        " place all passive joints; give a posture away from it"
+        " do not place all passive joints; give a posture away from it"
     )
 
 
@@ -428,7 +424,7 @@ def _check_motors(found: Closure) -> None:
         )
 
 
-def find_passive_joints(model: RobotModel) -> list[str]:
+def find_passive_joints(model: RobotParts) -> list[str]:
     """Return joints of loops that have no motor, where the description does not name them.
 
     As many as the loops place: joints without limits of torque and drive first, then those far from

@@ -210,7 +210,7 @@ def render_rollouts(
 ) -> str:
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
-    logs = sorted({recording_name(each.source) for each in longest.by_recording})
+    logs = sorted({recording_name(recording.source) for recording in longest.by_recording})
     moving = []
     if animation is not None:
         kind = f"image/{animation.suffix.lower().removeprefix('.')}"
