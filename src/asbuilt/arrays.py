@@ -24,6 +24,17 @@ def find_true_rows(mask: Mask) -> Mask:
     return found
 
 
+def find_finite_rows(*channels: Array | None) -> Mask:
+    """Return in which rows all channels (N,) or (N, m) are finite; None is no channel.
+
+    >>> find_finite_rows(np.array([0.0, np.nan, 1.0]), np.array([[1.0], [1.0], [np.inf]])).tolist()
+    [True, False, False]
+    """
+    known = [np.atleast_2d(channel.T).T for channel in channels if channel is not None]
+    lacking = [find_true_rows(~np.isfinite(channel)) for channel in known]
+    return ~np.asarray(np.logical_or.reduce(lacking))
+
+
 def find_true_ranges(mask: Mask) -> list[tuple[int, int]]:
     """Return the half-open index ranges of a mask (N,) in which all values are true.
 

@@ -124,23 +124,19 @@ class Recording:
         extra = {name: _freeze(values, name, self.source) for name, values in self.extra.items()}
         q = channels["q"]
         if t.ndim != 1 or t.size == 0:
-            raise RecordingError(
-                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
-                file=self.source,
+            raise self._error(
+                f"t must be a vector of at least one time, got shape {t.shape}",
                 value=t.shape,
             )
         if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
-            raise RecordingError(
-                f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
-                f" got {q.shape}",
-                file=self.source,
+            raise self._error(
+                f"q must have shape ({t.size}, n_joints) to go with {t.size} times, got {q.shape}",
                 value=q.shape,
             )
         for name, array in channels.items():
             if array.shape != q.shape:
-                raise RecordingError(
-                    f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
-                    file=self.source,
+                raise self._error(
+                    f"{name} must have the shape of q, {q.shape}, got {array.shape}",
                     value=array.shape,
                     expected=q.shape,
                 )
@@ -148,40 +144,33 @@ class Recording:
         repeated = min((name for name in names if names.count(name) > 1), default=None)
         n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
         if len(names) != q.shape[1]:
-            raise RecordingError(
-                f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names:"
-                f" {', '.join(names)}",
-                file=self.source,
+            raise self._error(
+                f"{q.shape[1]} columns in q but {len(names)} joint names: {', '.join(names)}",
                 value=len(names),
                 expected=q.shape[1],
             )
         if repeated is not None:
-            raise RecordingError(
-                f"{self.source}: joint name {repeated!r} is used {names.count(str(repeated))}"
+            raise self._error(
+                f"joint name {repeated!r} is used {names.count(str(repeated))}"
                 " times; each joint needs its own",
-                file=self.source,
                 value=repeated,
             )
         if self.torque_source not in TORQUE_SOURCES:
-            raise RecordingError(
-                f"{self.source}: torque_source {self.torque_source!r} is not one of"
-                f" {', '.join(TORQUE_SOURCES)}",
-                file=self.source,
+            raise self._error(
+                f"torque_source {self.torque_source!r} is not one of {', '.join(TORQUE_SOURCES)}",
                 value=self.torque_source,
                 available=TORQUE_SOURCES,
             )
         if n_gains != q.shape[1]:
-            raise RecordingError(
-                f"{self.source}: the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
-                file=self.source,
+            raise self._error(
+                f"the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
                 value=n_gains,
                 expected=q.shape[1],
             )
         for name, array in extra.items():
             if array.ndim not in (1, 2) or array.shape[0] != t.size:
-                raise RecordingError(
-                    f"{self.source}: {name} has shape {array.shape} but there are {t.size} times",
-                    file=self.source,
+                raise self._error(
+                    f"{name} has shape {array.shape} but there are {t.size} times",
                     value=array.shape,
                 )
         settled = {
@@ -193,6 +182,9 @@ class Recording:
         }
         for name, value in settled.items():
             object.__setattr__(self, name, value)
+
+    def _error(self, problem: str, **place: Any) -> RecordingError:
+        return RecordingError(f"{self.source}: {problem}", file=self.source, **place)
 
     def __repr__(self) -> str:
         return (
@@ -300,18 +292,15 @@ class Recording:
         """Return the recording with torques times `gain`, one number or one per joint."""
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
         if gains.ndim != 1 or gains.size not in (1, self.n_joints):
-            raise RecordingError(
-                f"{self.source}: {gains.size} gains for {self.n_joints} joints"
-                f" ({', '.join(self.joint_names)})",
+            raise self._error(
+                f"{gains.size} gains for {self.n_joints} joints ({', '.join(self.joint_names)})",
                 cure=Cure("give one gain, or one per joint"),
-                file=self.source,
                 value=gains.size,
                 expected=self.n_joints,
             )
         if not np.all(np.isfinite(gains)) or np.any(gains == 0):
-            raise RecordingError(
-                f"{self.source}: gains must be finite and not zero, got {gains.tolist()}",
-                file=self.source,
+            raise self._error(
+                f"gains must be finite and not zero, got {gains.tolist()}",
                 value=gains.tolist(),
             )
         listed = ", ".join(f"{g:g}" for g in gains)
@@ -382,10 +371,8 @@ class Recording:
     def taken(self, keep: Mask | Indices | slice, empty: str = "no sample is left") -> Recording:
         """Return the samples that `keep` selects."""
         if not self.t[keep].size:
-            raise RecordingError(
-                f"{self.source}: {empty}; it lasts from {np.nanmin(self.t):g} s to"
-                f" {np.nanmax(self.t):g} s",
-                file=self.source,
+            raise self._error(
+                f"{empty}; it lasts from {np.nanmin(self.t):g} s to {np.nanmax(self.t):g} s",
                 lower=float(np.nanmin(self.t)),
                 upper=float(np.nanmax(self.t)),
             )

@@ -222,6 +222,14 @@ def test_a_joint_at_rest_does_not_hide_the_unit_of_velocities(
     assert unit.cure.sheet == {"units": {"velocity": "rpm"}}
 
 
+def test_parameters_of_a_joint_at_rest_are_named_as_undetermined(
+    iiwa: RobotModel, clean: Recording
+) -> None:
+    q = np.array(clean.q)
+    q[:, 0] = 0.3
+    assert "Fv1" in finding(iiwa, replace(clean, q=q, qd=None), "rank_deficient").message
+
+
 def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) -> None:
     check = check_recording(iiwa, replace(clean, q=np.degrees(clean.q), qd=None, tau=-clean.tau))
     assert [item.code for item in check.errors] == ["degrees", "torque_flipped"]

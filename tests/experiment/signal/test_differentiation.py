@@ -30,7 +30,7 @@ def test_central_differences_scale_a_sine_by_sinc():
 
 def test_savitzky_golay_is_exact_on_polynomials_to_the_ends():
     x = (1 - T + 0.5 * T**2 - 0.1 * T**3 + 0.01 * T**4)[:, None]
-    q, qd, qdd = savitzky_golay(x, RATE, cutoff=8.0, degree=4)
+    q, qd, qdd = savitzky_golay(x, RATE, cutoff=8.0)
     np.testing.assert_allclose(q, x, atol=1e-9)
     np.testing.assert_allclose(qd[:, 0], -1 + T - 0.3 * T**2 + 0.04 * T**3, atol=1e-8)
     np.testing.assert_allclose(qdd[:, 0], 1 - 0.6 * T + 0.12 * T**2, atol=1e-6)
@@ -73,4 +73,4 @@ def test_impossible_smoothing_is_refused_with_numbers():
         savitzky_golay(np.zeros((20, 1)), RATE, cutoff=1.0)
     with pytest.raises(UsageError, match="at least 3 samples"):
         central_differences(np.zeros(2), RATE)
-    assert savitzky_golay_window(50.0, RATE, 4) % 2 == 1
+    assert savitzky_golay_window(50.0, RATE) % 2 == 1

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.quality.passes import still_ranges
@@ -125,7 +125,7 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     q = recording.q
     u = recording.command
     # Rows without a value of any joint would shift correlations of the others.
-    rows = find_advancing_rows(t, np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1))
+    rows = find_advancing_rows(t, find_finite_rows(t, q, u))
     t = t[rows]
     q = q[rows]
     u = u[rows]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -140,19 +140,17 @@ PASSES = 3
 """Times that each joint's zero is tried with the others as found: wrists follow the arm."""
 
 
-def check_zeros(
-    fit: TorqueFit, *, of_encoders: Sequence[int] = ()
-) -> tuple[Finding, TorqueFit] | None:
+def check_zeros(fit: TorqueFit, *, of_encoders: bool) -> tuple[Finding, TorqueFit] | None:
     """Return a finding, and the fit that it explains, if positions count from another zero.
 
     One zero that all joints share is a matter of their encoders, as it explains several joints by
-    one number. Zeros of single joints look like masses that CAD has elsewhere; they are asked of
-    `of_encoders` alone, joints whose counters begin again within the motion, as no encoder that was
-    set to the description's zero does.
+    one number. Zeros of single joints look like masses that CAD has elsewhere; they are asked only
+    `of_encoders` whose counters begin again within the motion, as no encoder that was set to the
+    description's zero does.
     """
     turning = np.array([joint.is_revolute for joint in fit.model.joints])
     doubtful = np.any(np.abs(fit.correlation[fit.decides]) < DOUBTFUL)
-    if not (doubtful or len(of_encoders)) or turning.sum() < 2:
+    if not (doubtful or of_encoders) or turning.sum() < 2:
         return None
 
     def cost(zeros: Array) -> float:
@@ -161,20 +159,13 @@ def check_zeros(
 
     as_logged = np.zeros(turning.size)
     shared = _find_zero(cost, as_logged, turning)
-    single = as_logged
-    for _ in range(PASSES if len(of_encoders) else 0):
-        for k in of_encoders:
-            single = _find_zero(cost, single, np.arange(turning.size) == k)
-    # Each number must be worth FALL; a joint whose zero shows in no torque keeps the described one.
-    for k in of_encoders:
-        kept = np.where(np.arange(turning.size) == k, 0.0, single)
-        single = kept if cost(kept) < cost(single) + FALL else single
-    single = _refine_zeros(cost, single)
+    single = _find_zeros_of_joints(cost, as_logged) if of_encoders else as_logged
     costs = [cost(shared) + FALL, cost(single) + FALL * np.count_nonzero(single)]
     zeros = shared if costs[0] <= costs[1] else single
     after = replace(fit, q=fit.q - zeros)
     better = _find_improved_joints(fit, after)
-    if not zeros.any() or min(costs) > cost(as_logged) or better.size < 2 - len(of_encoders):
+    several = better.size >= 2 or of_encoders
+    if not zeros.any() or min(costs) > cost(as_logged) or not several:
         return None
     before, now = fit.compare_correlation(after, better)
     by_masses = compare_by_any_masses(fit, after)
@@ -199,6 +190,19 @@ def check_zeros(
         ),
         after,
     )
+
+
+def _find_zeros_of_joints(cost: Callable[[Array], float], zeros: Array) -> Array:
+    """Return zeros (n,) with one for each joint, where it is worth it."""
+    joints = np.eye(zeros.size, dtype=np.bool_)
+    for _ in range(PASSES):
+        for joint in joints:
+            zeros = _find_zero(cost, zeros, joint)
+    # Each number must be worth FALL; a joint whose zero shows in no torque keeps the described one.
+    for joint in joints:
+        kept = np.where(joint, 0.0, zeros)
+        zeros = kept if cost(kept) < cost(zeros) + FALL else zeros
+    return _refine_zeros(cost, zeros)
 
 
 def _find_zero(cost: Callable[[Array], float], zeros: Array, moved: Mask) -> Array:

@@ -23,6 +23,7 @@ from asbuilt.experiment.quality.torque_fit import (
 )
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.scaled import Scaled
 
 FAR = 2.0
 KEPT = 1.1
@@ -350,12 +351,6 @@ def _find_correlated(statistics: FirstPass) -> Iterator[Finding]:
     )
 
 
-_SQUARABLE = 1e-4
-"""Singular value, relative to the largest, from which on its square has digits enough."""
-_RANK_TOLERANCE = 1e-7
-"""Singular value or column norm, relative to the largest, below which it counts as zero."""
-
-
 def check_excitation(
     model: RobotModel, statistics: FirstPass, motion: SmoothedMotion | None
 ) -> Iterator[Finding]:
@@ -388,14 +383,17 @@ def check_excitation(
     rows = motion.thinned(800)
     states = (motion.q[rows], motion.qd[rows], motion.qdd[rows])
     observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
-    # Without the squares as an array, which of many joints is as large as all rows.
-    lengths = np.sqrt(np.einsum("ij,ij->j", observed, observed))
-    # A column without excitation keeps its length, so that it counts as zero in the rank.
-    lengths[lengths <= _RANK_TOLERANCE * np.max(lengths)] = 1.0
-    values, directions = _decompose(observed, lengths)
-    rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
-    # The last direction is the least excited.
-    worst = join_names([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
+    information = Scaled(observed.T @ observed)
+    rank = information.rank
+    # Parts of the parameters in the directions that do not count, or count least.
+    weak = (
+        1.0 - np.sum(information.axes**2, axis=1)
+        if rank < base.n_base
+        else information.axes[:, 0] ** 2
+    )
+    weakest = np.argsort(-weak.round(6), kind="stable")[:4]
+    worst = join_names([base.names[k] for k in weakest])
+    condition = float(np.sqrt(information.condition))
     if rank < base.n_base:
         yield Finding(
             "rank_deficient",
@@ -408,26 +406,14 @@ def check_excitation(
                 call="design_motion",
             ),
         )
-    elif values[0] / values[-1] > 100.0:  # designed motions have 10 to 50
+    elif condition > 100.0:  # designed motions have 10 to 50
         yield Finding(
             "weak_excitation",
             "warning",
-            f"the scaled condition number is {values[0] / values[-1]:.3g} (good motions have 10 to"
-            f" 50) over {statistics.duration:.3g} s; least excited are {worst}",
+            f"the scaled condition number is {condition:.3g} (good motions have 10 to 50) over"
+            f" {statistics.duration:.3g} s; least excited are {worst}",
             Cure(
                 "add recordings or design a motion, and validate on another recording",
                 call="design_motion",
             ),
         )
-
-
-def _decompose(observed: Array, lengths: Array) -> tuple[Array, Array]:
-    """Return singular values, largest first, and right vectors of columns divided by lengths."""
-    gram = observed.T @ observed / np.outer(lengths, lengths)
-    squares, axes = np.linalg.eigh(gram)
-    if squares[0] > _SQUARABLE**2 * squares[-1]:
-        return np.sqrt(squares[::-1]), axes.T[::-1]
-    # The triangle has the singular values of all rows, with all digits.
-    triangle = np.linalg.qr(observed / lengths, mode="r")
-    _, values, directions = np.linalg.svd(triangle, full_matrices=False)
-    return values, directions

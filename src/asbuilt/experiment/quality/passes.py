@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask, find_true_rows
+from asbuilt.arrays import Array, Indices, Mask, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.reductions import (
@@ -21,6 +21,7 @@ from asbuilt.experiment.quality.reductions import (
     smooth_motion,
 )
 from asbuilt.experiment.recording import (
+    UNWRAPPED,
     Recording,
     find_changed_rows,
     join_recordings,
@@ -115,6 +116,14 @@ class FirstPass:
         return 1.0 / self.clock.step
 
     @property
+    def wrap(self) -> float:
+        """Position at which counters began again, as logged; 0 where none did."""
+        for note in self.first.notes:
+            if note.startswith(UNWRAPPED):
+                return float(note.removeprefix(UNWRAPPED).split()[0])
+        return 0.0
+
+    @property
     def duration(self) -> float:
         """Time from the earliest to the latest sample [s]."""
         return self.clock.duration
@@ -156,14 +165,9 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         chunk = blank_incredible(chunk)
         q = chunk.q
         t = chunk.t
-        if not_repeated.all():
-            changed = chunk.tau
-            changed_t = t
-        else:
-            # Repeated samples would count a plateau twice.
-            changed = chunk.tau[not_repeated]
-            changed_t = t[not_repeated]
-        clock = clock.with_more(t, _mark_valid(chunk))
+        # Repeated samples would count a plateau twice.
+        changed = chunk.tau[not_repeated]
+        clock = clock.with_more(t, find_finite_rows(t, chunk.tau, q, chunk.qd))
         repeats = repeats.with_more(not_repeated, begin)
         bits.append(np.packbits(not_repeated))
         # Computed torques jump with what they follow from: no spikes.
@@ -180,7 +184,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         torques = torques.with_more(changed)
         # Distance beyond its limits [rad or m] at which a joint counts as outside them.
         outside = outside.with_more(excess, excess > 0.01, q, t)
-        saturated = saturated.with_more(size, size >= full, changed, changed_t)
+        saturated = saturated.with_more(size, size >= full, changed, t[not_repeated])
         begin += chunk.n_samples
     if first is None or last is None:
         raise RecordingError("the recording holds no samples")
@@ -198,19 +202,6 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         saturated=saturated,
         spikes=tuple(spikes),
     )
-
-
-def _mark_valid(chunk: Recording) -> Mask:
-    """Return in which samples (N,) time, torques, positions and logged velocities are finite."""
-    valid = np.isfinite(chunk.t)
-    for values in (chunk.tau, chunk.q, chunk.qd):
-        if values is None:
-            continue
-        finite = np.isfinite(values)
-        # The usual log lacks nothing, and needs no look at its rows.
-        if not finite.all():
-            valid &= ~find_true_rows(~finite)
-    return valid
 
 
 def order_as_modelled(model: RobotModel, recording: Recording) -> Recording:
@@ -416,8 +407,8 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
         )
         stop = begin + chunk.n_samples
         changed = np.unpackbits(bits, count=chunk.n_samples).view(bool)
-        tau = np.ascontiguousarray(chunk.tau.T if changed.all() else chunk.tau[changed].T)
-        t = chunk.t if changed.all() else chunk.t[changed]
+        tau = np.ascontiguousarray(chunk.tau[changed].T)
+        t = chunk.t[changed]
         plateaus = [
             tuple(plateau.with_more(tau[k], t, place) for plateau in both)
             for k, both in enumerate(plateaus)
@@ -428,8 +419,7 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
             if here.size:
                 part.append(chunk.taken(here - begin))
         if known.clock.n_chunks == 1:
-            usable = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(chunk.tau))
-            torques.append(chunk.tau[usable])
+            torques.append(chunk.tau[find_finite_rows(chunk.t, chunk.tau)])
         # Plateaus count torques that are not repeated, and not samples.
         begin = stop
         place = place + t.size

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, find_finite_rows
 from asbuilt.compilation import kernel
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
@@ -159,7 +159,7 @@ class PositionNoise:
             grid = plan_uniform_grid(recording)
         except RecordingError:
             return None
-        finite = recording.q[np.all(np.isfinite(recording.q), axis=1)]
+        finite = recording.q[find_finite_rows(recording.q)]
         # Repeated positions hide the step of the values.
         changed = find_changed_rows(finite)
         if grid.rate < 1.0 or not changed[1:].any():
@@ -218,7 +218,7 @@ def check_structure(model: RobotModel, recording: Recording) -> Iterator[Finding
     closure = model.closure
     if closure is None:
         return
-    known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
+    known = np.flatnonzero(find_finite_rows(recording.q))
     # At most 2000 postures, evenly spread.
     # Loops are looked at in 2000 samples of a log.
     rows = known[:: max(1, known.size // 2000)]
@@ -271,7 +271,7 @@ def check_structure(model: RobotModel, recording: Recording) -> Iterator[Finding
 def check_followers(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
     # Positions of the joints of all links; NaN at samples that have NaN.
-    known = np.isfinite(recording.q).all(axis=1)
+    known = find_finite_rows(recording.q)
     placed = np.full((known.size, model.n_links), np.nan)
     placed[known] = model.link_positions(recording.q[known])
     for k, joint in enumerate(model.followers, start=model.n_joints):

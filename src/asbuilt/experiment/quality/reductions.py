@@ -10,7 +10,7 @@ from math import factorial
 import numpy as np
 from scipy.linalg import lstsq
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices, Mask, find_finite_rows
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import filter_rows
 
@@ -22,31 +22,22 @@ ZERO, UNKNOWN, HIGHEST, LOWEST = (
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """Hold count, lowest and highest finite value of each column, all (n,); infinite if none."""
+    """Hold count, lowest and highest value of each column, all (n,); infinite if there is none."""
 
     count: Indices = field(default_factory=ZERO)
     low: Array = field(default_factory=HIGHEST)
     high: Array = field(default_factory=LOWEST)
 
     def with_more(self, values: Array) -> Extremes:
-        """Include further values (N, n); those that are not finite do not count."""
+        """Include further values (N, n); NaN is none."""
         if not values.size:
             return self
-        low = values.min(axis=0)
-        high = values.max(axis=0)
-        if np.isfinite(low).all() and np.isfinite(high).all():
-            # The usual case, without a mask of all values.
-            return Extremes(
-                self.count + np.full(low.shape, len(values)),
-                np.minimum(self.low, low),
-                np.maximum(self.high, high),
-            )
-        # NaN would win every minimum, so that it is masked.
-        finite = np.isfinite(values)
+        # By columns in memory, as rows are short.
+        columns = np.ascontiguousarray(values.T)
         return Extremes(
-            self.count + finite.sum(axis=0),
-            np.minimum(self.low, values.min(axis=0, where=finite, initial=np.inf)),
-            np.maximum(self.high, values.max(axis=0, where=finite, initial=-np.inf)),
+            self.count + np.count_nonzero(~np.isnan(columns), axis=1),
+            np.fmin(self.low, np.fmin.reduce(columns, axis=1)),
+            np.fmax(self.high, np.fmax.reduce(columns, axis=1)),
         )
 
     @property
@@ -100,8 +91,7 @@ class PositionMoments:
 
     def with_more(self, q: Array) -> PositionMoments:
         """Include further positions (N, n); rows with a value that is not finite do not count."""
-        finite = np.isfinite(q)
-        complete = q if finite.all() else q[np.all(finite, axis=1)]
+        complete = q[find_finite_rows(q)]
         # About the first sample: joints that hardly move keep their digits.
         about = self.about if self.n_samples or not len(complete) else complete[0]
         apart = complete - about
@@ -183,7 +173,7 @@ class Clock:
         The smallest median step of a chunk [s].
     long
         Times before steps that may be gaps, and these steps [s], shape (N, 2).
-    stride, kept, newest
+    stride, kept
         Chunks of which times are kept: every so manieth, and the newest.
     """
 
@@ -201,7 +191,6 @@ class Clock:
     long: tuple[Array, ...] = ()
     stride: int = 1
     kept: tuple[Chunk, ...] = ()
-    newest: Chunk | None = None
 
     def with_more(self, t: Array, valid: Mask) -> Clock:
         """Include the times (N,) of further samples [s] and whether they are valid (N,)."""
@@ -238,31 +227,30 @@ class Clock:
 
     def _with_chunk(self, chunk: Chunk) -> Clock:
         """Return the same with the times of one more chunk, and those of fewer before."""
-        kept = self.kept
-        if self.newest is not None and (self.n_chunks - 1) % self.stride == 0:
-            kept = (*kept, self.newest)
         stride = self.stride
-        if sum(each.t.size for each in kept) > KEPT_SAMPLES:
+        # The newest one stays if it is one of the stride.
+        kept = self.kept[:-1] if (self.n_chunks - 1) % stride else self.kept
+        if sum(before.t.size for before in kept) > KEPT_SAMPLES:
             kept = kept[::2]
             stride *= 2
-        return replace(self, kept=kept, stride=stride, newest=chunk)
+        return replace(self, kept=(*kept, chunk), stride=stride)
 
     @cached_property
     def t(self) -> Array:
         """Times that are kept [s], shape (K,)."""
-        return np.concatenate([chunk.t for chunk in self._chunks])
+        return np.concatenate([chunk.t for chunk in self.kept])
 
     @cached_property
     def rows(self) -> Indices:
         """Their rows, shape (K,)."""
         return np.concatenate(
-            [np.arange(chunk.begin, chunk.begin + chunk.t.size) for chunk in self._chunks]
+            [np.arange(chunk.begin, chunk.begin + chunk.t.size) for chunk in self.kept]
         )
 
     @cached_property
     def valid(self) -> Mask:
         """Whether the samples at these times are valid, shape (K,)."""
-        return np.concatenate([chunk.valid for chunk in self._chunks])
+        return np.concatenate([chunk.valid for chunk in self.kept])
 
     @cached_property
     def forward(self) -> Array:
@@ -288,10 +276,6 @@ class Clock:
     def duration(self) -> float:
         """Time from the earliest to the latest sample [s]; NaN if there is none."""
         return self.latest - self.earliest if self.latest >= self.earliest else np.nan
-
-    @property
-    def _chunks(self) -> tuple[Chunk, ...]:
-        return self.kept if self.newest is None else (*self.kept, self.newest)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,19 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
 from asbuilt.codec import format_toml, format_toml_key
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.readers import find_sheet, find_table_layout, read_table
 from asbuilt.experiment.logs.reading_options import ReadingOptions
-from asbuilt.experiment.logs.recordings import Recorded, read_fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.checks import RecordingCheck, check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import OF_JOINTS, Recording
 from asbuilt.findings import Cure
 
 MOST_ROUNDS = 8
@@ -139,7 +138,7 @@ def propose_sheet(
         reasons.append(reason.replace(f"{paths[0]}", paths[0].name))
     changed = content != start
     if problem is None and check is not None:
-        content = _complete(model, paths, chosen, content, head_of_recorded(recording))
+        content = _complete(model, paths, chosen, content, head_of(recording))
     return SheetProposal(content, tuple(reasons), changed, check, problem)
 
 
@@ -171,12 +170,6 @@ def _state_options(
         stated["sign"] = -1
         left = replace(left, flip_torque=False)
     return stated, left
-
-
-def head_of_recorded(recording: Recorded) -> Recording:
-    """Return a recording in memory, or the beginning of a stream."""
-    assert isinstance(recording, Recording | RecordingStream)
-    return head_of(recording)
 
 
 def _read(
@@ -258,7 +251,7 @@ def _complete(
         layout = find_table_layout(table, sheet, model.on_held_base, options)
         # Completed sheets are kept only if they read the same.
         full = merge_fields(content, _list_columns(table, layout, content))
-        again = head_of_recorded(_read(model, paths, options, full)[1])
+        again = head_of(_read(model, paths, options, full)[1])
     except (AsbuiltError, ValueError):
         return dict(content)
     return full if _are_equal(recording, again) else dict(content)
@@ -266,19 +259,13 @@ def _complete(
 
 def _are_equal(one: Recording, other: Recording) -> bool:
     """Return whether two readings of a log have the same joints and values."""
-    pairs: list[tuple[Array | None, Array | None]] = [
-        (one.t, other.t),
-        (one.q, other.q),
-        (one.tau, other.tau),
-        (one.qd, other.qd),
-        (one.command, other.command),
-    ]
+    pairs = [(getattr(one, name), getattr(other, name)) for name in ("t", *OF_JOINTS)]
     same = all(
-        (a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True))  # type: ignore[arg-type]
+        b is None if a is None else b is not None and np.array_equal(a, b, equal_nan=True)
         for a, b in pairs
     )
     return (
-        same and one.joint_names == other.joint_names and one.torque_source == (other.torque_source)
+        same and one.joint_names == other.joint_names and one.torque_source == other.torque_source
     )
 
 
@@ -292,6 +279,7 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
         # Columns without names go by number, counted from 1.
         return column if table.named else order.index(column) + 1
 
+    stated = content.get("units", {})
     columns: dict[str, Any] = {}
     units: dict[str, str] = {}
     for quantity in LISTED:
@@ -300,7 +288,7 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
             continue
         columns[quantity] = [name(column) for column in names]
         # A unit that the sheet states wins over one that was guessed.
-        if quantity in content.get("units", {}):
+        if quantity in stated:
             continue
         # Columns of several units have no one name: the sheet says nothing of them.
         unit = _name_unit(quantity, [layout.scales.get(column, 1.0) for column in names])
@@ -310,15 +298,14 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
     if layout.time is not None and layout.nanoseconds is None:
         columns["time"] = name(layout.time)
         unit = _name_unit("time", [layout.scales.get(layout.time, 1.0)])
-        units |= {"time": unit} if unit else {}
-    known = content.get("units", {})
+        units |= {"time": unit} if unit and "time" not in stated else {}
     found: dict[str, Any] = {"columns": columns}
-    if added := {quantity: unit for quantity, unit in units.items() if quantity not in known}:
-        found["units"] = added
+    if units:
+        found["units"] = units
     if table.named:
         found["joints"] = list(layout.joint_names)
     if layout.torque_source != "unknown":
-        found.setdefault("torque_source", content.get("torque_source", layout.torque_source))
+        found["torque_source"] = content.get("torque_source", layout.torque_source)
     return found
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices, Mask, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.command.magnitude import (
@@ -214,7 +214,7 @@ def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> 
 
 def _mark_weight_bearing(model: RobotModel, recording: Recording) -> Mask:
     """Return which joints (n,) bear a weight of one sign, positive, at all positions met."""
-    q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
+    q = recording.q[find_finite_rows(recording.q)]
     # Poses of a recording at which gravity is looked at.
     q = q[:: max(1, len(q) // 200)]
     weight = inverse_dynamics(model, q, np.zeros(q.shape), np.zeros(q.shape), threads=1)
@@ -346,37 +346,30 @@ def _find_not_finite(statistics: FirstPass) -> Iterator[Finding]:
 def _find_wrong_unit(step: float) -> Iterator[Finding]:
     """Find a clock with a rate that no controller has."""
     rate = 1.0 / step
-    # Controllers on the market log at 5 Hz to 100 kHz.
-    if rate > 1e5:
-        yield Finding(
-            "clock_unit",
-            "error",
-            f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): the unit of the time"
-            " stamps is not the one that their name or the sheet gives",
-            Cure('write the unit in a recording sheet: units = { time = "s" }'),
-        )
-    # Even as nanoseconds no controller is this slow.
-    if rate < min(_CLOCK_UNITS.values()):
-        yield Finding(
-            "clock_unit",
-            "error",
-            f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): the time stamps are in no"
-            " known unit",
-            Cure("write true times, or a column of them, and their unit in a recording sheet"),
-        )
     # A unit under which the rate is a usual one.
     unit = next((u for u, factor in _CLOCK_UNITS.items() if 20.0 <= rate / factor <= 20e3), None)
-    if rate < 5.0 and unit is not None:
-        yield Finding(
-            "clock_unit",
-            "error",
-            f"the sampling rate is {rate:.3g} Hz ({step:.4g} s a sample): the time stamps look"
-            f" like {unit}",
-            Cure(
-                f'write the unit in a recording sheet: units = {{ time = "{unit}" }}',
-                sheet={"units": {"time": unit}},
-            ),
+    # Controllers on the market log at 5 Hz to 100 kHz.
+    if rate > 1e5:
+        problem = "the unit of the time stamps is not the one that their name or the sheet gives"
+        cure = Cure('write the unit in a recording sheet: units = { time = "s" }')
+    # Even as nanoseconds no controller is this slow.
+    elif rate < min(_CLOCK_UNITS.values()):
+        problem = "the time stamps are in no known unit"
+        cure = Cure("write true times, or a column of them, and their unit in a recording sheet")
+    elif rate < 5.0 and unit is not None:
+        problem = f"the time stamps look like {unit}"
+        cure = Cure(
+            f'write the unit in a recording sheet: units = {{ time = "{unit}" }}',
+            sheet={"units": {"time": unit}},
         )
+    else:
+        return
+    yield Finding(
+        "clock_unit",
+        "error",
+        f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): {problem}",
+        cure,
+    )
 
 
 def _find_stale(statistics: FirstPass) -> Iterator[Finding]:

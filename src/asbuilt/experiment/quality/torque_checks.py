@@ -24,7 +24,7 @@ from asbuilt.experiment.quality.torque_fit import (
     find_swapped_torques,
     infer_density,
 )
-from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE, UNWRAPPED
+from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
 CERTAIN = 0.95
@@ -74,7 +74,7 @@ def check_torques(
     stated = "zero" in statistics.first.stated
     other = check_conventions(best, believed=stated)
     if other is None and not stated:
-        other = check_zeros(best, of_encoders=_list_wrapped_joints(statistics))
+        other = check_zeros(best, of_encoders=statistics.wrap > 0.0)
     if best is not fit:
         yield _report_swapped(fit, best, "error" if by_masses > 0 else "warning")
     if other is not None:
@@ -84,12 +84,6 @@ def check_torques(
     elif best is fit:
         yield from _find_swapped_without_cad(fit)
     yield from _check_sign_and_scale(statistics, best, ratio)
-
-
-def _list_wrapped_joints(statistics: FirstPass) -> tuple[int, ...]:
-    """Return the joints of a log whose counters begin again within the motion."""
-    wrapped = any(note.startswith(UNWRAPPED) for note in statistics.first.notes)
-    return tuple(range(statistics.n_joints)) if wrapped else ()
 
 
 def _check_without_masses(statistics: FirstPass, fit: TorqueFit) -> Iterator[Finding]:
@@ -441,6 +435,13 @@ def _report_part_of_limits(model: RobotModel, part: str, evidence: str) -> Findi
 
 CURRENT_GAINS = 0.3, 300.0
 """Torque per current [N m/A] of joints with gears, from a finger's to the base of a large arm."""
+GIVE_GAINS = Cure(
+    "give the gains in N m per logged unit, one per joint, here or as gains = [...] in a recording"
+    " sheet; a payload of known mass determines them",
+    settings={"torque_source": "current"},
+    call="find_gains",
+)
+"""Cure of torques that are currents."""
 
 
 def _report_current(
@@ -459,12 +460,7 @@ def _report_current(
         severity,
         f"the torques are currents without gains: by the masses of {model.name} one logged unit"
         f" makes {listed}{as_amperes}",
-        Cure(
-            "give the gains in N m per logged unit, one per joint, here or as gains = [...] in a"
-            " recording sheet; a payload of known mass determines them",
-            settings={"torque_source": "current"},
-            call="find_gains",
-        ),
+        GIVE_GAINS,
     )
 
 
@@ -515,12 +511,7 @@ def _report_scale(
         )
     elif 0.005 < scale < 0.3:
         guess = "they look like motor currents without gains"
-        cure = Cure(
-            "give the gains in N m/A, one per joint, here or as gains = [...] in a recording sheet;"
-            " a payload of known mass determines them",
-            settings={"torque_source": "current"},
-            call="find_gains",
-        )
+        cure = GIVE_GAINS
     else:
         guess = "the unit or the robot differs"
         cure = Cure("give the gain that converts them to N m, or units in a recording sheet")

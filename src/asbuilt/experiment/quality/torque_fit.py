@@ -36,23 +36,9 @@ COMPARED_TORQUES = (
 def choose_decisive_change(
     logged: T, changes: Iterable[T], cost: Callable[[T], float], fall: float
 ) -> T | None:
-    """Return the cheapest of `changes` if it costs less than `logged` by more than `fall`.
-
-    Parameters
-    ----------
-    logged
-        Order of columns as logged.
-    changes
-        Other orders, such as the orders of `list_swaps`.
-    cost
-        Misfit of an order.
-    fall
-        Difference of the costs from which the change is decisive.
-    """
-    costs = [(cost(change), change) for change in changes]
-    # Without a change there is nothing to compare.
-    best = min(costs, key=lambda pair: pair[0], default=None)
-    return best[1] if best is not None and best[0] < cost(logged) - fall else None
+    """Return the cheapest of `changes` if it costs less than `logged` by more than `fall`."""
+    best = min(changes, key=cost, default=logged)
+    return best if cost(best) < cost(logged) - fall else None
 
 
 def list_swaps(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
@@ -154,6 +140,11 @@ class TorqueFit:
         return W
 
     @property
+    def order(self) -> tuple[int, ...]:
+        """The order of the joints."""
+        return tuple(range(self.model.n_joints))
+
+    @property
     def _columns(self) -> Indices:
         """Columns of bodies, viscous friction and offsets of `USUAL_FRICTION`."""
         base = find_base_parameters(self.model, USUAL_FRICTION)
@@ -183,10 +174,6 @@ class TorqueFit:
             len(self.q),
         )
 
-    def unexplained(self, W: Array) -> Array:
-        """Return the share (n,) of the torques' variance that columns (N, n, p) leave."""
-        return self.normal_equations(W).unexplained(tuple(range(self.model.n_joints)))
-
     def with_signs(self, signs: ArrayLike) -> TorqueFit:
         """Return the comparison with the torques times signs (n,)."""
         return replace(self, tau=self.tau * np.asarray(signs))
@@ -205,8 +192,7 @@ class TorqueFit:
     def _mean_energy(self) -> float:
         """Return twice the mean kinetic energy of the masses that fit best [J]."""
         W = self.observe(self.model.gravity)
-        n = self.model.n_joints
-        beta = self.normal_equations(W).solve(tuple(range(n)))
+        beta = self.normal_equations(W).solve(self.order)
         rest = np.zeros_like(self.qd)
         # qdd = qd from rest without gravity: the torque is M(q) qd.
         moved = replace(self, qd=rest, qdd=self.qd).observe(np.zeros(3))
@@ -334,7 +320,7 @@ class TorqueFit:
         if self.model.n_joints > EVERY_PAIR:
             yield self._with_torques(self._best_swap_of_torques())
             return
-        for order in map(list, list_swaps(tuple(range(self.model.n_joints)))):
+        for order in map(list, list_swaps(self.order)):
             motion: dict[str, Any] = {
                 **{name: getattr(self, name)[:, order] for name in ("q", "qd", "qdd")},
                 "friction": self.friction[order],
@@ -370,7 +356,7 @@ class TorqueFit:
         falls = costs.diagonal(axis1=1, axis2=2)[:, :, None] - costs
         totals = costs.trace(axis1=1, axis2=2)[:, None, None] - falls - falls.swapaxes(1, 2)
         return min(
-            list_swaps(tuple(range(n))),
+            list_swaps(self.order),
             key=lambda order: totals[:, *(k for k in range(n) if order[k] != k)].min(),
         )
 
@@ -385,7 +371,8 @@ def measure_any_masses(fit: TorqueFit, W: Array | None = None) -> float:
 
     `W` (N, n, p) are the columns, by default those under the description's gravity.
     """
-    left = fit.unexplained(fit.observe(fit.model.gravity) if W is None else W)
+    normal = fit.normal_equations(fit.observe(fit.model.gravity) if W is None else W)
+    left = normal.unexplained(fit.order)
     # 1e-4: unexplained share below which a better fit does not count.
     return float(np.mean(np.log(left + 1e-4)))
 
@@ -472,7 +459,7 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     if samples * n < 3 * W.shape[2]:
         return None
     normal = fit.normal_equations(W)
-    logged = tuple(range(n))
+    logged = fit.order
     swaps = list_swaps(logged) if n <= EVERY_PAIR else normal.suspected_swaps()
     # A sum of logarithms that falls by 4: both unexplained shares fall to an eighth.
     found = choose_decisive_change(logged, swaps, normal.cost, 4.0)

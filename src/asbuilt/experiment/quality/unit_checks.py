@@ -7,13 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.experiment.recording import UNWRAPPED
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.tables import round_significant
 
@@ -47,7 +46,7 @@ def check_position_unit(
     if not all(joint.is_revolute for joint in model.joints):
         return None
     q = statistics.first.q
-    known = q[np.all(np.isfinite(q), axis=1)]
+    known = q[find_finite_rows(q)]
     largest = float(np.nanmax(statistics.position_range.furthest, initial=0.0))
     # Whole numbers within a turn could be radians by chance; beyond they are counts.
     if known.size and largest > LARGEST_RADIANS and np.all(known == np.round(known)):
@@ -90,7 +89,7 @@ def _check_counts(
         return _report_unknown_turn(counted)
     alike = [counts for counts in ranked if left[ranked[0]] > CLEARLY_LESS * left[counts]]
     # Where positions start again a turn ends; velocities in a usual unit count it.
-    ends = [counts for counts in alike if _is_near(counts[0], _find_wrap(statistics))]
+    ends = [counts for counts in alike if _is_near(counts[0], statistics.wrap)]
     timed = [counts for counts in alike if _agrees_with_velocities(motion, counts[0])]
     told = ends or (timed if len({turn for turn, _ in timed}) == 1 else [])
     # Two counts that explain about as much leave the turn open.
@@ -135,14 +134,6 @@ def _report_unknown_turn(counted: str) -> Finding:
             ' in a recording sheet: units = { position = "1/4096 turn" }, zero = 3.1416'
         ),
     )
-
-
-def _find_wrap(statistics: FirstPass) -> float:
-    """Return the count at which positions started again, 0 where they were not unwrapped."""
-    for note in statistics.first.notes:
-        if note.startswith(UNWRAPPED):
-            return float(note.removeprefix(UNWRAPPED).split()[0])
-    return 0.0
 
 
 def _is_near(turn: int, wrap: float) -> bool:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -117,7 +117,9 @@ def estimate_noise_limit(
         return None
     frequency = np.asarray(np.fft.rfftfreq(window, 1.0 / rate), dtype=np.float64)
     position, torque = (
-        _estimate_spectrum([signals[i] for signals in segments], rate, window) for i in range(2)
+        # Side lobes of 92 dB: the motion would cover the noise at high frequencies otherwise.
+        _estimate_spectrum(list(signals), rate, window, window="blackmanharris")
+        for signals in zip(*segments, strict=True)
     )
     w = 2.0 * np.pi * frequency[:, None]
     if of_velocity:
@@ -148,16 +150,11 @@ def estimate_noise_limit(
     )
 
 
-def _estimate_spectrum(parts: Sequence[Array], rate: float, window: int) -> Array:
-    """Return the spectrum (F, n) of the segments that are as long as the window."""
-    total = np.zeros((window // 2 + 1, parts[0].shape[1]))
-    weight = 0
-    for x in parts:
-        if x.shape[0] >= window:
-            # Side lobes of 92 dB: the motion would cover the noise at high frequencies otherwise.
-            total += x.shape[0] * power_density(x, rate, window, window="blackmanharris")
-            weight += x.shape[0]
-    return total / weight
+def _estimate_spectrum(parts: Sequence[Array], rate: float, length: int, **how: Any) -> Array:
+    """Return the `power_density` (F, n) of the segments that are as long as its windows."""
+    long_enough = [x for x in parts if len(x) >= length]
+    spectra = [len(x) * power_density(x, rate, length, **how) for x in long_enough]
+    return np.asarray(sum(spectra) / sum(map(len, long_enough)))
 
 
 def _estimate_squared_inertia(
@@ -218,16 +215,11 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     slower than a hundredth of the fastest do not count. White noise of the positions is estimated
     from the upper half of the spectrum; bins beyond the motion that it dominates do not count.
     """
-    window = min(round(WINDOW * rate), max(q.shape[0] for q in segments) - 1)
-    total = np.zeros((window // 2 + 1, segments[0].shape[1]))
+    # Of differences, whose spectrum falls with the frequency: a position's leaks from its drift.
+    velocities = [np.diff(q, axis=0) * rate for q in segments]
+    window = min(round(WINDOW * rate), max(map(len, velocities)))
     frequency = np.fft.rfftfreq(window, 1.0 / rate)
-    for q in segments:
-        if q.shape[0] <= window:
-            continue
-        # Of differences, whose spectrum falls with the frequency: a position's leaks from its
-        # drift.
-        velocity = np.diff(q, axis=0) * rate
-        total += power_density(velocity, rate, window, centred=False) * (q.shape[0] - 1)
+    total = _estimate_spectrum(velocities, rate, window, centred=False)
     total[_mark_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
     power = total.sum(axis=0)
     # A hundredth of the speed is a ten thousandth of the power.

@@ -39,17 +39,19 @@ def central_differences(x: ArrayLike, rate: float) -> Array:
     return slopes
 
 
-def savitzky_golay(
-    x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4
-) -> tuple[Array, Array, Array]:
+DEGREE = 4
+"""Degree of the moving polynomial, even."""
+
+
+def savitzky_golay(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array, Array, Array]:
     """Return value, first and second derivative of the columns of x by a moving polynomial.
 
-    `savitzky_golay_window` gives the window. Exact on polynomials up to the degree, also at
-    the ends (Savitzky and Golay, Analytical Chemistry, 1964).
+    `savitzky_golay_window` gives the window. Exact on polynomials up to `DEGREE`, also at the ends
+    (Savitzky and Golay, Analytical Chemistry, 1964).
     """
     values = np.asarray(x, dtype=np.float64)
     _check_cutoff(cutoff, rate)
-    window = savitzky_golay_window(cutoff, rate, degree)
+    window = savitzky_golay_window(cutoff, rate)
     if window > values.shape[0]:
         raise UsageError(
             f"a Savitzky-Golay cutoff of {cutoff:g} Hz needs {window} samples at {rate:g} Hz, but"
@@ -63,7 +65,7 @@ def savitzky_golay(
     q, qd, qdd = (
         np.ascontiguousarray(
             # At the ends the polynomial of the last window, instead of a shorter one.
-            savgol_filter(values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp")
+            savgol_filter(values, window, DEGREE, deriv=d, delta=1.0 / rate, axis=0, mode="interp")
         )
         for d in range(3)
     )
@@ -78,16 +80,16 @@ def _check_cutoff(cutoff: float, rate: float) -> None:
         )
 
 
-def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
+def savitzky_golay_window(cutoff: float, rate: float) -> int:
     """Return the window length 2 m + 1 whose -3 dB point is nearest `cutoff` [Hz].
 
-    It is at least degree + 2. Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6)
-    (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011).
+    It is longer than the polynomial has coefficients. Schafer's rule, cutoff / (rate / 2) =
+    (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine,
+    2011).
     """
     # Solved for m, half the window without its middle.
-    half = ((degree + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
-    # Odd, and more samples than coefficients.
-    return max(2 * round(half) + 1, degree + 2 + (degree + 1) % 2)
+    half = ((DEGREE + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
+    return max(2 * round(half) + 1, DEGREE + 3)
 
 
 def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array, Array, Array]:
@@ -189,25 +191,22 @@ def compare_velocities(
     gain lag dv/dt, whose two coefficients follow by least squares, joint by joint. Noise is what
     the low-pass removes.
     """
-    n = pairs[0][0].shape[1]
+    v, w, derived, logged = (np.concatenate(x) for x in zip(*pairs, strict=True))
+    a = np.concatenate([np.gradient(smooth, axis=0) * rate for smooth, *_ in pairs])
+    n = v.shape[1]
     lags = np.zeros(n)
     gains = np.ones(n)
-    noises = np.ones(n)
-    speed = np.sqrt(sum(np.sum(v**2, axis=0) for v, *_ in pairs))
     for k in range(n):
-        v = np.concatenate([pair[0][:, k] for pair in pairs])
-        w = np.concatenate([pair[1][:, k] for pair in pairs])
-        a = np.concatenate([np.gradient(pair[0][:, k]) * rate for pair in pairs])
         # w = gain v - gain lag dv/dt
-        (gain, slope), *_ = np.linalg.lstsq(np.column_stack([v, a]), w, rcond=None)
-        lags[k] = -slope / gain if gain else np.inf
-        gains[k] = gain
-        removed = [
-            # What the low-pass takes from each, before less after.
-            np.sqrt(sum(float(np.sum((pair[2 + i][:, k] - pair[i][:, k]) ** 2)) for pair in pairs))
-            for i in range(2)
-        ]
-        noises[k] = removed[1] / removed[0] if removed[0] > 0 else np.inf
+        columns = np.column_stack([v[:, k], a[:, k]])
+        gains[k], slope = np.linalg.lstsq(columns, w[:, k], rcond=None)[0]
+        lags[k] = -slope / gains[k] if gains[k] else np.inf
+    # What the low-pass takes from each, before less after.
+    removed, removed_logged = (
+        np.linalg.norm(before - after, axis=0) for before, after in ((derived, v), (logged, w))
+    )
+    noises = np.divide(removed_logged, removed, out=np.full(n, np.inf), where=removed > 0.0)
+    speed = np.linalg.norm(v, axis=0)
     # A joint at rest has a derivative of noise alone.
     moving = speed > 0.01 * speed.max()
     worst = int(np.abs(np.where(moving, lags, 0.0)).argmax())

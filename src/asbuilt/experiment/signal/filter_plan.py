@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.band_choice import power_density
 from asbuilt.experiment.signal.differentiation import (
@@ -53,12 +53,13 @@ SPECTRUM = 256
 class FilterPlan:
     """Hold the filters of a chain whose cutoff is known, for logs at `rate` [Hz].
 
-    `thinning` logged samples make one of `Samples`; the torque passes `anti_alias` before that, and
-    `parallel` remains to be applied. `margin` logged samples are trimmed at either end of a
-    segment; `exact` of them depend on the ends at all.
+    `cutoff` [Hz] is the chain's. `thinning` logged samples make one of `Samples`; the torque passes
+    `anti_alias` before that, and `parallel` remains to be applied. `margin` logged samples are
+    trimmed at either end of a segment; `exact` of them depend on the ends at all.
     """
 
     chain: SignalChain
+    cutoff: float
     rate: float
     thinning: int
     anti_alias: ParallelFilter | None
@@ -101,7 +102,7 @@ class FilterPlan:
         # Untrimmed chains keep the transients, as published ones do.
         margin = margin if chain.trimmed else 0
         if not chain.parallel:
-            return cls(chain, rate, total or 1, None, None, margin, exact)
+            return cls(chain, cutoff, rate, total or 1, None, None, margin, exact)
         # At half its cutoff the low-pass of the positions, which the torque does not pass, is
         # within 0.2 % of 1; at its own cutoff it takes 30 % of the accelerations, and inertias
         # would grow by as much to make up. Below 3 Hz friction and rests of the motion go.
@@ -124,7 +125,7 @@ class FilterPlan:
             design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
         )
         parallel = design_parallel_filter(low, rate / thinning, factor)
-        return cls(chain, rate, thinning, anti_alias, parallel, margin, exact)
+        return cls(chain, cutoff, rate, thinning, anti_alias, parallel, margin, exact)
 
     @property
     def support(self) -> int:
@@ -152,7 +153,7 @@ class FilterPlan:
         chain = self.chain
         rate = self.rate
         smooth = self.smooth
-        cutoff = chain.cutoff or 0.0
+        cutoff = self.cutoff
         if chain.derivative == "savitzky-golay":
             q, qd, qdd = savitzky_golay(segment.q, rate, cutoff=cutoff)
         elif chain.derivative == "spline":
@@ -170,7 +171,7 @@ class FilterPlan:
     def smooth(self, x: Array) -> Array:
         """Return columns of x (L, n) after the low-pass of the positions."""
         chain = self.chain
-        cutoff = self.chain.cutoff or 0.0
+        cutoff = self.cutoff
         if chain.derivative == "gaussian":
             # With the differences that follow the response ends at half a period.
             differences = 0 if chain.velocity == "measured" else DIFFERENCES
@@ -184,7 +185,7 @@ class FilterPlan:
 
         Empty where rates are logged, whose noise is another.
         """
-        q = q[np.isfinite(q).all(axis=1)]
+        q = q[find_finite_rows(q)]
         if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
             return ()
         # An impulse through everything that acts on positions: its squares sum to the noise gain.
@@ -285,7 +286,7 @@ class FilterPlan:
     def describe(self) -> Iterator[str]:
         """Yield sentences about what the plan does."""
         chain = self.chain
-        cutoff = self.chain.cutoff
+        cutoff = self.cutoff
         if chain.derivative == "central":
             passes = "of both passes" if chain.corrected else "of each pass"
             yield (

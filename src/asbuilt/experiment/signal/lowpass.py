@@ -62,13 +62,13 @@ def butterworth(
     0.7071
     """
     values = np.asarray(x, dtype=np.float64)
-    sections = _design_sections(cutoff, rate, order, corrected)
+    sections, steady = _design_filter(cutoff, rate, order, corrected)
     # Odd reflection as long as the response, or as the log allows.
     padding = min(
         settling_samples(cutoff, rate, order=order, corrected=corrected, tolerance=1e-6),
         values.shape[0] - 1,
     )
-    return _filter_both_ways(values, sections, padding)
+    return _filter_both_ways(values, sections, steady, padding)
 
 
 def gaussian(x: ArrayLike, *, cutoff: float, rate: float, shorter: int = 0) -> Array:
@@ -109,13 +109,13 @@ def settling_samples(
     The impulse response dies as the slowest pole p does, |p|^k; the count is read from the response
     itself, which is the autocorrelation of one pass.
     """
-    sections = _design_sections(cutoff, rate, order, corrected)
+    sections, steady = _design_filter(cutoff, rate, order, corrected)
     slowest = max(abs(root) for section in sections for root in np.roots(section[3:]))
     # From the slowest pole, with some margin: the response itself is then looked at.
     length = int(np.ceil(np.log(1e-3 * tolerance) / np.log(slowest))) + 1
     rows = np.zeros((AT_ONCE, 2 * length))
     rows[0, 0] = 1.0
-    _filter_in_place(rows, sections, np.zeros((len(sections), 2)))
+    _filter_in_place(rows, sections, 0.0 * steady)
     # Forwards and backwards an impulse becomes the autocorrelation of one pass.
     double = np.abs(rows[0])
     return int(np.flatnonzero(double > tolerance * double.max())[-1]) + 1
@@ -133,7 +133,7 @@ def decimate_chebyshev(x: Array, factor: int) -> Array:
     return np.ascontiguousarray(decimate(x, factor, n=8, ftype="iir", axis=0, zero_phase=True))
 
 
-def _filter_both_ways(x: Array, sections: Array, padding: int) -> Array:
+def _filter_both_ways(x: Array, sections: Array, steady: Array, padding: int) -> Array:
     """Filter the columns of x (N,) or (N, m) forwards and backwards, as `scipy.signal.sosfiltfilt`.
 
     The ends are extended by odd reflection over `padding` < N samples, and the filter starts in its
@@ -149,24 +149,21 @@ def _filter_both_ways(x: Array, sections: Array, padding: int) -> Array:
         # Straight lines continue as straight lines.
         rows[:m, :padding] = 2.0 * columns[:, :1] - columns[:, padding:0:-1]
         rows[:m, -padding:] = 2.0 * columns[:, -1:] - columns[:, -2 : -padding - 2 : -1]
-    steady = _solve_steady_state(sections.tobytes(), len(sections))
     _filter_in_place(rows, sections, steady)
     # Views: the padding is dropped without a copy.
     kept = rows[:m, padding : padding + length].T
     return kept[:, 0] if x.ndim == 1 else kept
 
 
-@lru_cache(maxsize=256)
-def _solve_steady_state(sections: bytes, count: int) -> Array:
-    """Return the states (count, 2) of sections that the input 1 has held for long.
+def _solve_steady_state(sections: Array) -> Array:
+    """Return the states (m, 2) of sections (m, 6) that the input 1 has held for long.
 
     The states (p, q) of a section with the input 1 solve `p = q + b1 - a1 (p + b0)`,
     `q = b2 - a2 (p + b0)`; its input is the gain of the sections before.
     """
-    rows = np.frombuffer(sections).reshape(count, 6)
-    b = rows[:, :3]
-    a = rows[:, 3:]
-    system = np.tile(np.eye(2), (count, 1, 1))
+    b = sections[:, :3]
+    a = sections[:, 3:]
+    system = np.tile(np.eye(2), (len(sections), 1, 1))
     system[:, 0, 1] = -1.0
     system[:, :, 0] += a[:, 1:]
     # Each section sees the gain of those before it as its constant input.
@@ -232,15 +229,17 @@ def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
 
 
 @lru_cache(maxsize=256)
-def _design_sections(cutoff: float, rate: float, order: int, corrected: bool) -> Array:
+def _design_filter(cutoff: float, rate: float, order: int, corrected: bool) -> tuple[Array, Array]:
+    """Return the sections (m, 6) of a low-pass, and their steady state (m, 2) for the input 1."""
     if not 0.0 < cutoff < 0.5 * rate:
         raise UsageError(
             f"a low-pass at {cutoff:g} Hz is impossible at {rate:g} Hz: the cutoff must lie between"
             f" 0 and {0.5 * rate:g} Hz"
         )
-    return butterworth_sections(
+    sections = butterworth_sections(
         order, single_pass_cutoff(cutoff, rate, order) if corrected else cutoff, rate
     )
+    return sections, _solve_steady_state(sections)
 
 
 def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.errors import UsageError
@@ -42,22 +42,6 @@ class ParallelFilter:
     decimation: int
     cutoff: float
     rate: float
-
-    def __post_init__(self) -> None:
-        taps = np.array(self.taps, dtype=np.float64)
-        if (
-            taps.ndim != 1
-            or taps.size % 2 == 0
-            # Symmetric taps have no phase; an odd number has a middle sample.
-            or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14)
-        ):
-            raise UsageError(
-                f"a zero-phase filter needs an odd number of symmetric taps, got shape {taps.shape}"
-            )
-        if self.decimation < 1:
-            raise UsageError(f"the decimation must be 1 or more, got {self.decimation}")
-        taps.setflags(write=False)
-        object.__setattr__(self, "taps", taps)
 
     @property
     def margin(self) -> int:
@@ -150,7 +134,7 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
     from scipy.optimize import brentq  # noqa: PLC0415 - light start
 
     corner = float(brentq(excess, 0.3 * ratio, min(1.75 * ratio, 0.5), xtol=1e-14))
-    return ParallelFilter(taps(corner), decimation, cutoff, rate)
+    return ParallelFilter(read_only(taps(corner)), decimation, cutoff, rate)
 
 
 def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = None) -> Array:

@@ -70,7 +70,7 @@ class MotionFilters:
     def motion(self, plan: FilterPlan, segment: UniformSegment) -> FilteredMotion:
         """Return the filtered motion of a segment."""
         chain = plan.chain
-        filters = (chain.cutoff, chain.order, chain.corrected, chain.derivative, chain.velocity)
+        filters = (plan.cutoff, chain.order, chain.corrected, chain.derivative, chain.velocity)
         return self.once(("motion", plan.rate, *filters), [segment], lambda: plan.motion(segment))
 
     def once(
@@ -151,7 +151,7 @@ class PreparedMotion:
             longest = max(segment.t.size for segment in self.segments)
             raise RecordingError(
                 f"{recording.source}: no samples are left. The longest segment without a gap has"
-                f" {longest} samples, a low-pass at {plan.chain.cutoff:.3g} Hz takes"
+                f" {longest} samples, a low-pass at {plan.cutoff:.3g} Hz takes"
                 f" {2 * plan.margin} at {rate:g} Hz, and rests are left out",
                 cure=Cure("raise the cutoff, record longer, or check that the robot moves"),
                 file=recording.source,
@@ -297,9 +297,7 @@ def settle_chain(
         motions = [filters.motion(plan, segment)[:2] for segment in segments if plan.fits(segment)]
         # Rests are recognised in the filtered motion, whose noise is what is left.
         if motions:
-            chain = replace(
-                chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
-            )
+            chain = replace(chain, standstill=estimate_standstill_speeds(motions, plan.cutoff))
     return chain, tuple(notes), clock_bound
 
 
@@ -321,7 +319,7 @@ def assemble_samples(
     # Logged rates are differences by whoever logged them, which take a sample to either side.
     logged = 1.0 / plan.rate if plan.chain.velocity == "measured" else 0.0
     # Reactions last over the width of the filter: it spreads them so far.
-    reactions = recording.reactions_at(t, SPREAD / (plan.chain.cutoff or np.inf) + logged)
+    reactions = recording.reactions_at(t, SPREAD / plan.cutoff + logged)
     return Samples(
         t=t,
         q=q,

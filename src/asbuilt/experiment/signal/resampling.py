@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask, find_true_rows
+from asbuilt.arrays import Array, Indices, Mask, find_finite_rows
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
 from asbuilt.findings import Cure
@@ -103,11 +103,9 @@ class Grid:
 
     recording: Recording
     bridges: Bridges
-    # 1e-6: a last tick that rounding puts just beyond the end is kept.
     segments: tuple[Indices, ...]
     clocks: tuple[Array, ...] | None
     rate: float
-    # Stamps within half a period of a uniform clock are that clock, rounded.
     notes: tuple[str, ...]
 
     def uniform(self) -> list[UniformSegment]:
@@ -116,7 +114,6 @@ class Grid:
         q = self.channel(recording.q)
         tau = self.channel(recording.tau)
         qd = self._logged_channel(recording.qd)
-        # The last tick may lie beyond the last sample by rounding: a spline must not extrapolate.
         qdd = self._logged_channel(recording.qdd if recording.undriven else None)
         times = map(self._times, range(len(self.segments)))
         return list(map(UniformSegment, times, q, tau, qd, qdd))
@@ -130,9 +127,9 @@ class Grid:
         """Return a channel in each segment, None if it was not logged, or not for every sample."""
         if x is None:
             return [None] * len(self.segments)
-        # A polynomial through a pause with a missing sample would fill in nothing.
         filled = self.bridges.fill(x)
         return [
+            # A polynomial through a pause with a missing sample has filled in nothing.
             self._on_clock(filled, k)
             if np.isfinite(filled[_simplify_indices(rows)]).all()
             else None
@@ -143,10 +140,12 @@ class Grid:
         """Return the times of a segment on the uniform clock."""
         if self.clocks is not None:
             clock = self.clocks[k]
+            # 1e-6: a last tick that rounding puts just beyond the end is kept.
             count = int(np.floor((clock[-1] - clock[0]) * self.rate + 1e-6)) + 1
             return np.asarray(clock[0] + np.arange(count) / self.rate)
         part = self.bridges.t[_simplify_indices(self.segments[k])]
         even = part[0] + np.arange(part.size) / self.rate
+        # Stamps within half a period of a uniform clock are that clock, rounded.
         return np.asarray(even if np.max(np.abs(even - part)) < 0.5 / self.rate else part)
 
     def _on_clock(self, x: Array, k: int) -> Array:
@@ -154,6 +153,7 @@ class Grid:
         if self.clocks is None:
             return x[_simplify_indices(rows)]
         clock = self.clocks[k]
+        # The last tick may lie beyond the last sample by rounding: a spline must not extrapolate.
         inside = np.minimum(self._times(k), clock[-1])
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
 
@@ -181,26 +181,20 @@ def plan_uniform_grid(
         If nothing is left, or `rate` is far above the rate of the log.
     """
     n = recording.n_samples
-    kept = np.isfinite(recording.t)
-    for values in (recording.q, recording.tau):
-        kept &= ~find_true_rows(~np.isfinite(values))
-    notes: list[str] = []
-    if not kept.all():
-        notes.append(
-            f"{n - int(kept.sum())} of {n} samples with NaN or infinite values were dropped"
-        )
-    later = find_advancing_rows(recording.t, kept)
-    if not np.array_equal(later, kept):
-        notes.append(
-            f"{int(kept.sum() - later.sum())} samples whose time does not increase were dropped"
-        )
-    index = np.flatnonzero(later)
-    kept_rows = _drop_repeats(recording, index)
-    if kept_rows.size < index.size:
-        notes.append(
-            f"{index.size - kept_rows.size} samples that repeat the one before (the log was polled"
-            " faster than the controller writes) were dropped"
-        )
+    finite = find_finite_rows(recording.t, recording.q, recording.tau)
+    later = np.flatnonzero(find_advancing_rows(recording.t, finite))
+    kept_rows = _drop_repeats(recording, later)
+    n_finite = int(finite.sum())
+    dropped = (
+        (n - n_finite, f"of {n} samples with NaN or infinite values"),
+        (n_finite - later.size, "samples whose time does not increase"),
+        (
+            later.size - kept_rows.size,
+            "samples that repeat the one before (the log was polled faster than the controller"
+            " writes)",
+        ),
+    )
+    notes = [f"{count} {which} were dropped" for count, which in dropped if count]
     if kept_rows.size < SHORTEST:
         raise RecordingError(
             f"{recording.source}: {kept_rows.size} of {n} samples are usable; at least {SHORTEST}"
@@ -223,8 +217,8 @@ def plan_uniform_grid(
             value=rate,
             upper=logged_rate,
         )
-    gap = max(GAP * period, resolved) if max_gap is None else max_gap
     pause = GAP * period
+    gap = max(pause, resolved) if max_gap is None else max_gap
     bridges = plan_bridges(recording.t, kept_rows, gap, pause)
     if bridges.pauses:
         longest = steps[[pause.row - 1 for pause in bridges.pauses]].max()
@@ -246,11 +240,11 @@ def plan_uniform_grid(
         raise RecordingError(
             f"{recording.source}: no segment of {SHORTEST} samples is without a gap of more than"
             f" {gap:g} s",
-            # Where pauses end segments their steps say nothing of the clock.
             cure=Cure("check the clock"),
             file=recording.source,
         )
     target = logged_rate if rate is None else rate
+    # Where pauses end segments their steps say nothing of the clock.
     inside = np.delete(steps, breaks - 1)
     # A uniform clock is taken as it is: splines would only blur it.
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
@@ -308,8 +302,8 @@ def _simplify_indices(rows: Indices) -> Indices | slice:
 
 
 def _round_rate(rate: float) -> float:
-    # Below 20 Hz a whole number is not within 0.1 % by accident alone.
     """Return a rate rounded to a whole number within 0.1 %."""
+    # A slower clock is not within 0.1 % of a whole number by design alone.
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 20 else rate
 
 
@@ -341,12 +335,9 @@ def _choose_clock(t: Array, q: Array) -> tuple[Array, bool]:
         np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0))
         for x in (on_even, on_stamps)
     ]
-    return (
-        (even, True)
-        # The median over joints, since one at rest is as smooth on either clock.
-        if np.median(roughness[0] / np.maximum(roughness[1], 1e-300)) < 1.0
-        else (t, False)
-    )
+    # The median over joints, since one at rest is as smooth on either clock.
+    smoother = np.median(roughness[0] / np.maximum(roughness[1], 1e-300)) < 1.0
+    return (even, True) if smoother else (t, False)
 
 
 def _assign_ticks(t: Array, period: float) -> Array | None:
