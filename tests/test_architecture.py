@@ -41,6 +41,7 @@ LEAVES = (
     "children",
     "codec",
     "compilation",
+    "curves",
     "errors",
     "executor",
     "findings",

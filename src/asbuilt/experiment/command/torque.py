@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.curves import CubicSpline
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, spread_over_joints
@@ -15,8 +16,6 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
     from asbuilt.experiment.logs.reading_options import ReadingOptions
     from asbuilt.experiment.logs.sheet import RecordingSheet
 
@@ -80,14 +79,14 @@ class CommandCurve:
         t = recording.t[rows]
         x = _require_command(recording)[rows]
         return (
-            cls(rows, t, _fit_spline(t, _weigh_neighbours(x, DROOP))) if t.size >= FEWEST else None
+            cls(rows, t, CubicSpline(t, _weigh_neighbours(x, DROOP))) if t.size >= FEWEST else None
         )
 
     def held(self, delay: float, derivative: int) -> Array:
         """Return what is held for a period, or its derivative, shape (N, n)."""
         t = self.t
         at = t - 0.5 * float(np.median(np.diff(t))) - delay
-        values = np.asarray(self.spline(np.clip(at, t[0], t[-1]), derivative))
+        values = self.spline(np.clip(at, t[0], t[-1]), derivative)
         if derivative:
             values[(at < t[0]) | (at > t[-1])] = 0.0
         return values
@@ -144,13 +143,6 @@ def _weigh_neighbours(x: Array, weight: float) -> Array:
     return np.asarray(weight * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * weight) * x)
 
 
-def _fit_spline(t: Array, x: Array) -> CubicSpline:
-    """Return the cubic spline through x (N, n)."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
-
-    return CubicSpline(t, x, axis=0)
-
-
 def _filter_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) -> Array:
     """Return the goal, or its derivative, below half the sampling rate, shape (K, n).
 
@@ -169,7 +161,7 @@ def _filter_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: i
     )
     values = _weigh_neighbours((after - before) / period, -DROOP)
     if derivative:
-        values = np.asarray(_fit_spline(t, values)(t, derivative))
+        values = CubicSpline(t, values)(t, derivative)
         values[(late < t[0]) | (late > t[-1])] = 0.0
     return np.asarray(values)
 

@@ -10,6 +10,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
+from asbuilt.curves import find_root
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
@@ -147,9 +148,7 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
         # -3 dB exactly at the cutoff, which windows shift: the corner is solved for.
         return float(taps(corner) @ np.cos(2.0 * np.pi * ratio * k) - np.sqrt(0.5))
 
-    from scipy.optimize import brentq  # noqa: PLC0415 - light start
-
-    corner = float(brentq(excess, 0.3 * ratio, min(1.75 * ratio, 0.5), xtol=1e-14))
+    corner = find_root(excess, 0.3 * ratio, min(1.75 * ratio, 0.5))
     return ParallelFilter(taps(corner), decimation, cutoff, rate)
 
 

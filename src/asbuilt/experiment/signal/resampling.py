@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, find_true_rows
+from asbuilt.curves import CubicSpline
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
 from asbuilt.findings import Cure
@@ -155,9 +156,7 @@ class Grid:
             return x[_simplify_indices(rows)]
         clock = self.clocks[k]
         inside = np.minimum(self._times(k), clock[-1])
-        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
-
-        return np.ascontiguousarray(CubicSpline(clock, x[rows], axis=0)(inside))
+        return CubicSpline(clock, x[rows])(inside)
 
 
 def plan_uniform_grid(
@@ -329,13 +328,11 @@ def _choose_clock(t: Array, q: Array) -> tuple[Array, bool]:
     # Beyond half a period stamps and ticks are not paired for certain.
     if np.max(np.abs(even - t)) > 0.6 * period:
         return t, False
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
-
     grid = np.arange(int(tick[-1]) + 1)
-    on_even = CubicSpline(tick, q, axis=0)(grid)
+    on_even = CubicSpline(tick, q)(grid)
     # Ticks just outside the stamps are moved to their ends.
     inside = t[0] + np.clip(start + slope * grid, 0.0, t[-1] - t[0])
-    on_stamps = CubicSpline(t, q, axis=0)(inside)
+    on_stamps = CubicSpline(t, q)(inside)
     roughness = [
         # Without the ends, at which splines are free.
         np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0))

@@ -49,12 +49,13 @@ class Tilt(Effect):
         self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
     ) -> tuple[RobotModel, list[Samples]]:
         """Return the robot with its base turned by a tilt about the axes across gravity."""
-        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - light start
-
         gravity = np.array(model.gravity)
         # Gravity in the base turns against the base.
-        back = Rotation.from_rotvec(-values @ find_axes_across(gravity))
-        return model.tilted(back.apply(gravity)), list(samples)
+        turn = -values @ find_axes_across(gravity)
+        angle = float(np.linalg.norm(turn))
+        # Rodrigues' formula of an axis across the vector; sinc(x) is sin(pi x) / (pi x).
+        back = np.cos(angle) * gravity + np.sinc(angle / np.pi) * np.cross(turn, gravity)
+        return model.tilted(back), list(samples)
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the tilt of a robot with gravity."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
+from asbuilt.curves import CubicSpline
 from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last
 from asbuilt.experiment.logs.formats.ros.messages import (
     FLAG,
@@ -124,8 +125,6 @@ def resample(
     start = times[0]
     t = (times - start) * 1e-9
     at = (rows[inside] - start) * 1e-9
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
-
     out[inside] = CubicSpline(t, values)(at)
     if turn:
         length = np.interp(at, t, np.linalg.norm(values[:, turn], axis=1))
