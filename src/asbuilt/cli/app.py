@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import difflib
 import errno
+import gc
 import inspect
 import io
 import json
@@ -37,6 +38,13 @@ from asbuilt.untrusted import (
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
+
+NO_PLUGINS = "PYDANTIC_DISABLE_PLUGINS"
+"""Environment variable that keeps pydantic from asking every installed distribution for some."""
+
+BETWEEN_COLLECTIONS = 10_000
+"""New objects after which cycles are looked for. Nearly all that is imported lives to the end: to
+look through it after every 700, as Python does, takes a twentieth of a short command."""
 
 FULL_DISK = "asbuilt: the output cannot be written: No space left on device; free some space"
 
@@ -203,6 +211,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 data or robot do not allow it, 2 wrong usage."""
     for setting in BLAS_THREADS:
         os.environ.setdefault(setting, "1")
+    os.environ.setdefault(NO_PLUGINS, "1")
+    gc.set_threshold(BETWEEN_COLLECTIONS)
     _return_freed_memory()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
