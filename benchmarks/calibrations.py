@@ -18,8 +18,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.excitation.motions.fourier import random_fourier
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.calibration.delay import find_delays
 from asbuilt.identification.calibration.payload import choose_payload_frame

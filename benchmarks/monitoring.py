@@ -220,7 +220,7 @@ def contacts(names: Sequence[str], minutes: float) -> None:
     for name in names:
         robot, result, quiet = _watched_robot(name, minutes)
         site, rng = Site(result, quiet), np.random.default_rng(1)
-        observer, model = site.observer, result.model
+        model = result.model
         tool = choose_payload_frame(model)[1:]
         log = _moves(robot, 999, 10.0 * CONTACTS)
         usual = site.smallest_force(log)
@@ -237,7 +237,7 @@ def contacts(names: Sequence[str], minutes: float) -> None:
         seen = site.observed(replace(log, tau=log.tau - external))
         limits = site.thresholds[PROMISED]
         scale, limit = limits.of_log(seen, site.error)
-        events = find_events(observer, seen, scale, limit, limits, tool, apart=1.0)
+        events = find_events(Observer(result, thresholds=limits), seen, scale, limit, tool)
         covered, errors, named, sizes = [], [], [], []
         for start, force in zip(starts, forces, strict=True):
             near = [event for event in events if -0.1 < event.start - start < 0.5]

@@ -88,7 +88,6 @@ from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
 from .workflow.rollout import roll_out_result as roll_out_result
 from .workflow.rollout import roll_out_robot as roll_out_robot
-from .workflow.study import Study as Study
 from .workflow.study import identify as identify
 from .workflow.study_options import ChannelOptions as ChannelOptions
 from .workflow.study_options import ControllerOptions as ControllerOptions
@@ -96,6 +95,7 @@ from .workflow.study_options import GainOptions as GainOptions
 from .workflow.study_options import PayloadOptions as PayloadOptions
 from .workflow.study_options import StudyOptions as StudyOptions
 from .workflow.study_options import ValidationOptions as ValidationOptions
+from .workflow.study_result import Study as Study
 from .workflow.validation import review as review
 from .workflow.validation import validate as validate
 from .workflow.validation import validate_robot as validate_robot

@@ -244,6 +244,11 @@ def _write_paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str])
     )
 
 
+def list_warnings(findings: Iterable[Finding]) -> list[dict[str, str]]:
+    """Return the field `warnings` of a document: code and text of each finding."""
+    return [{"code": finding.code, "message": finding.text} for finding in findings]
+
+
 def join_names(names: Sequence[str], most: int = 7) -> str:
     """Join names with commas, the last with "and"; a list longer than `most` ends in "n more".
 

@@ -99,7 +99,7 @@ def test_a_file_extends_another_description(tmp_path: Path) -> None:
         ),
         ('[[motors]]\nname = "j3"\n', "has the name of a joint that no coupling moves"),
         (MOTORS + '[[motors]]\nname = "m2"\n' + WRIST, "motor 'm2' is given twice"),
-        ("[[couplings]]\nj3 = { j2 = nan }\n", "finite factors"),
+        ("[[couplings]]\nj3 = { j2 = nan }\n", "j3.j2: Input should be a finite number"),
         ("[[couplings]]\nj3 = {}\n", "finite factors"),
         ("[[couplings]]\nj3 = { j3 = 2.0 }\n", "move with itself"),
         ('[[couplings]]\nj3 = { j2 = 1.0 }\nmotor = "j2"\n', "give one joint and what moves it"),

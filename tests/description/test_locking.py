@@ -142,8 +142,8 @@ def test_what_cannot_be_locked_is_refused() -> None:
 
 def test_a_finding_names_the_locked_joints() -> None:
     model = bundled_robot("two-link")
-    assert report_locks(model.locked_joints) == ()
-    (finding,) = report_locks({"joint_2": 0.5})
+    assert not [*report_locks(model)]
+    (finding,) = report_locks(model.locked({"joint_2": 0.5}))
     assert finding.code == "joints_locked"
     assert "joint_2 at 0.5" in finding.message
     assert finding.cure is not None

@@ -16,7 +16,7 @@ from asbuilt.dynamics import inverse_dynamics
 from asbuilt.dynamics.reactions import contact_jacobians
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.signal.band_choice import choose_band
-from asbuilt.experiment.signal.prepared_motion import MotionFilters, plan_grid
+from asbuilt.experiment.signal.preparation import MotionFilters, plan_grid
 from asbuilt.identification.uncertainty.pose_noise import settle_rates
 
 URDF = """<robot name="monopod">

@@ -60,7 +60,7 @@ def test_a_refinement_that_simulates_worse_is_not_followed(
         found = fitted(*args, **kwargs)
         soft = replace(found.law.servo, kp=tuple(0.5 * kp for kp in found.law.servo.kp))
         return replace(
-            found, robot=found.robot.with_servo(soft), law=replace(found.law, servo=soft)
+            found, robot=replace(found.robot, servo=soft), law=replace(found.law, servo=soft)
         )
 
     monkeypatch.setattr(refinement, "refine_fit", spoilt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -66,9 +66,7 @@ def identify(
     if not options.rollout:
         sharing.refuse("only rollouts are shared")
     model = reading.base.load_robot(robot)
-    swept = filtering.cutoff == "auto"
-    chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
-    options = replace(options, chain=chain, sweep_cutoff=swept)
+    options = filtering.applied_to(options)
     with show_progress() as report, sharing.open() as shared:
         report("read", 0.0)
         model, (recordings, others, loaded) = read_robot_and_recordings(
@@ -86,7 +84,7 @@ def identify(
         carried = None
         if loaded:
             held = None if options.holdout == AUTOMATIC else options.holdout
-            under_load = PayloadOptions(chain=chain, holdout=held, checked=options.checked)
+            under_load = PayloadOptions(chain=options.chain, holdout=held, checked=options.checked)
             carried = asbuilt.identify_payload(study.result, loaded, options=under_load)
         files, notes = (
             writers.write_study(out, study, payload=carried, command=sys.argv[1:])

@@ -179,8 +179,7 @@ def view(
         )
     if isinstance(shown, Path):
         files = {"page" if shown.suffix.lower() == ".html" else "picture": shown}
-        paths = {kind: str(path) for kind, path in files.items()}
-        answer(as_json, lambda: {**about, "files": paths}, lambda: list_files(files))
+        answer(as_json, lambda: writers.with_files(about, files), lambda: list_files(files))
         return
     try:
         answer(

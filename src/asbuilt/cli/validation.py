@@ -202,7 +202,7 @@ def _validate_described(
         lambda: (
             (writers.described_torque_table(model, errors).as_text(full) if errors else "")
             + writers.rollout_text(model, simulated, full=full, cure_text=describe_cure)
-            + (list_files(files) if files else "")
+            + list_files(files)
         ),
     )
 
@@ -296,21 +296,16 @@ def compare(
             lambda: drift.as_text(full) + list_files(files),
         )
         return
+    from asbuilt.validation.attribution.attribute import can_attribute
+
     design = None if cad is None else asbuilt.load_robot(cad)
     if design is not None:
         held = identified.model.locked_joints.items()
         design = design.locked({name: at for name, at in held if name in design.joint_names})
+    tolerance = None if cad_tolerance is None else validation.CadTolerance.parse(cad_tolerance)
     verdict = writers.CadVerdict(
-        asbuilt.compare(
-            identified,
-            design,
-            tolerance=None
-            if cad_tolerance is None
-            else validation.CadTolerance.parse(cad_tolerance),
-        ),
-        asbuilt.attribute(identified, design)
-        if identified.cause_data is not None and not identified.model.mixes_joints
-        else None,
+        asbuilt.compare(identified, design, tolerance=tolerance),
+        asbuilt.attribute(identified, design) if can_attribute(identified) else None,
         identification.determination(identified),
     )
     files = writers.write_comparison(out, identified, verdict) if out is not None else {}
@@ -416,8 +411,7 @@ def review(
     """
     require_distinct_logs(log)
     model = reading.base.load_robot(robot)
-    swept = filtering.cutoff == "auto"
-    chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
+    options = filtering.applied_to(options)
     with show_progress() as report:
         report("read", 0.0)
         model, (recordings,) = read_robot_and_recordings(model, reading, log)
@@ -428,7 +422,7 @@ def review(
             model,
             recordings,
             **tolerance,
-            options=replace(options, chain=chain, sweep_cutoff=swept),
+            options=options,
             progress=report,
         )
         files = writers.write_review(out, found) if out is not None else {}

@@ -19,7 +19,6 @@ from .load import robot_names as robot_names
 from .meshes import MeshMeasures as MeshMeasures
 from .meshes import measure_mesh as measure_mesh
 from .model import RobotModel as RobotModel
-from .plausibility import Plausibility as Plausibility
 from .plausibility import add_plausibility as add_plausibility
 from .plausibility import check_in_shape as check_in_shape
 from .plausibility import check_plausibility as check_plausibility
@@ -31,7 +30,6 @@ from .rotation import quaternion_from_rotation as quaternion_from_rotation
 from .rotation import rotation_from_rpy as rotation_from_rpy
 from .rotation import rotation_onto as rotation_onto
 from .rotation import rpy_from_rotation as rpy_from_rotation
-from .structure.free_base import refuse_free_base as refuse_free_base
 from .structure.loops import Loop as Loop
 from .structure.parts import PLAIN_TERMS as PLAIN_TERMS
 from .structure.parts import ROOT as ROOT

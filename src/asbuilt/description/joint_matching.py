@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import operator
 import re
 from collections.abc import Iterator, Sequence
+from itertools import compress
 
+import numpy as np
+
+from asbuilt.arrays import Mask
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
 
@@ -53,14 +58,9 @@ def match_joints(
     """
     if len(labels) > len(joint_names) and read_label_numbers(labels) is not None:
         raise _make_misfit_error(labels, joint_names, source, robot)
-    same_end = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
-    for keys, wanted in _list_keys(labels, joint_names):
-        order = [keys.index(key) if keys.count(key) == 1 else -1 for key in wanted]
-        if min(order) >= 0 and len(set(order)) == len(order):
-            return order, _note_left_out(labels, order, source)
-        ends = [[k for k, key in enumerate(keys) if same_end(key, want)] for want in wanted]
-        if all(len(end) == 1 for end in ends) and len({end[0] for end in ends}) == len(joint_names):
-            order = [end[0] for end in ends]
+    for alike in _compare_names(labels, joint_names):
+        if (alike.sum(axis=0) == 1).all() and (alike.sum(axis=1) <= 1).all():
+            order = alike.argmax(axis=0).tolist()
             return order, _note_left_out(labels, order, source)
     counted = _sort_numerically(labels)
     if counted is not None and len(labels) == len(joint_names):
@@ -128,19 +128,30 @@ def find_unlabelled_joints(
     >>> find_unlabelled_joints(["elbow", "wrist"], ["elbow_joint", "wrist_joint", "finger_joint"])
     ('finger_joint',)
     """
-    same_end = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
-    for keys, wanted in _list_keys(labels, joint_names):
-        for fits in (_is_equal, same_end):
-            found = [[k for k, want in enumerate(wanted) if fits(key, want)] for key in keys]
-            named = [each[0] for each in found if len(each) == 1]
-            clear = len(set(named)) == len(named) and all(len(each) < 2 for each in found)
-            if clear and 0 < len(named) < len(joint_names) and 2 * len(named) >= len(labels):
-                return tuple(name for k, name in enumerate(joint_names) if k not in named)
+    for alike in _compare_names(labels, joint_names):
+        named = alike.any(axis=0)
+        clear = (alike.sum(axis=0) <= 1).all() and (alike.sum(axis=1) <= 1).all()
+        if clear and named.any() and not named.all() and 2 * named.sum() >= len(labels):
+            return tuple(compress(joint_names, np.logical_not(named).tolist()))
     return None
 
 
-def _is_equal(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
-    return bool(key) and key == want
+def _compare_names(labels: Sequence[str], joint_names: Sequence[str]) -> Iterator[Mask]:
+    """Yield which labels (rows) are alike which joint names (columns), the closest likeness first.
+
+    Likeness is of the whole, of words, and of words of meaning; each equal, then alike in the end.
+    """
+    ends_alike = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
+    whole = [[(name,) for name in names] for names in (labels, joint_names)]
+    words = [[tuple(split_words(name)) for name in names] for names in (labels, joint_names)]
+    meanings = [
+        [tuple(word for word in key if word not in _GENERIC) or key for key in keys]
+        for keys in words
+    ]
+    for keys, wanted in (whole, words, meanings):
+        for is_alike in (operator.eq, ends_alike):
+            table = [[is_alike(key, want) for want in wanted] for key in keys]
+            yield np.array(table, dtype=np.bool_).reshape(len(labels), len(joint_names))
 
 
 def _has_same_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
@@ -193,19 +204,6 @@ def _sort_numerically(labels: Sequence[str]) -> list[int] | None:
     ):
         return None
     return sorted(range(len(labels)), key=lambda k: numbers[k])
-
-
-def _list_keys(
-    labels: Sequence[str], joint_names: Sequence[str]
-) -> Iterator[tuple[list[tuple[str, ...]], list[tuple[str, ...]]]]:
-    """Yield labels and joint names by what they may share: the whole, words, words of meaning."""
-    yield [(name,) for name in labels], [(name,) for name in joint_names]
-    for passed_over in (set[str](), _GENERIC):
-        keys, wanted = (
-            [tuple(w for w in split_words(name) if w not in passed_over) for name in names]
-            for names in (labels, joint_names)
-        )
-        yield keys, wanted
 
 
 def _note_left_out(labels: Sequence[str], order: list[int], source: str) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,13 +16,19 @@ from asbuilt.description.formats.description_format import (
     format_of,
     list_suffixes,
 )
-from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, close_match, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.ranges import option, switch
-from asbuilt.untrusted import allow_xacro_python, describe_problem, name_file_in_errors, read_bytes
+from asbuilt.untrusted import (
+    allow_xacro_python,
+    describe_problem,
+    name_file_in_errors,
+    read_bytes,
+    shorten_path,
+)
 
 PATHS = ("URDF_PATH", "MJCF_PATH", "XACRO_PATH")
 
@@ -48,9 +53,9 @@ def find_published_description(name: str) -> Path:
         raise MissingExtraError("robot_descriptions", "robots", f"the published robot {name}")
     known = [module.name for module in iter_modules(package.submodule_search_locations)]
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        more = f"; did you mean {near[0]!r}?" if near else ""
-        raise DescriptionError(f"robot_descriptions has no robot {name!r}{more}", value=name)
+        raise DescriptionError(
+            f"robot_descriptions has no robot {name!r}{close_match(name, known)}", value=name
+        )
     try:
         module = import_module(f"robot_descriptions.{name}")
     except Exception as error:  # whatever Git and the network raise
@@ -177,8 +182,9 @@ def _load(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
         exists = bool(text) and path.exists()
         is_folder = exists and path.is_dir()
     except (OSError, ValueError) as error:
-        shown = text if len(text) < 200 else f"{text[:60]}..."
-        raise DescriptionError(f"{shown} cannot be read: {describe_problem(error)}") from None
+        raise DescriptionError(
+            f"{shorten_path(text)} cannot be read: {describe_problem(error)}"
+        ) from None
     if exists and not is_folder:
         return _read(path, fixed_base, base)
     suffixes = ", ".join(list_suffixes())
@@ -212,11 +218,10 @@ def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
             f"{path} is not a robot description in a known format; formats are {titles}",
             file=str(path),
         )
-    if base != "fixed" and found.read_on_base is not None:
-        return found.read_on_base(path, base)
-    read = found.read_fixed if fixed_base and found.read_fixed is not None else found.read
     with name_file_in_errors(path):
-        return _check_base(read(path), base)
+        if found.on_bases:
+            return found.read(path, fixed_base=fixed_base, base=base)
+        return _check_base(found.read(path), base)
 
 
 def _check_base(model: RobotModel, base: BaseKind) -> RobotModel:
@@ -269,7 +274,4 @@ def bundled_robot(name: str) -> RobotModel:
 
 def suggest_robot(name: str) -> str:
     """Return `" (did you mean 'puma-560'?)"` for the nearest bundled robot, or an empty text."""
-    matches = difflib.get_close_matches(
-        name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4
-    )
-    return f" (did you mean {matches[0]!r}?)" if matches else ""
+    return close_match(name.lower().replace("_", "-"), robot_names(), cutoff=0.4)

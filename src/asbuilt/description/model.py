@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, read_only
+from asbuilt.codec import make_plain, store_as
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
@@ -19,19 +20,9 @@ from asbuilt.description.structure.couplings import (
     separate_followers,
     with_rotors,
 )
-from asbuilt.description.structure.free_base import (
-    classify_base,
-    count_base_joints,
-    refuse_free_base,
-    refuse_ground,
-)
+from asbuilt.description.structure.free_base import JOINTS_OF, classify_base
 from asbuilt.description.structure.joint_map import JointMap, OneToOne, TreeMotion
-from asbuilt.description.structure.locking import (
-    derive_locked_positions,
-    find_assumed_carriers,
-    find_held_followers,
-    merge_locked_links,
-)
+from asbuilt.description.structure.locking import lock_joints
 from asbuilt.description.structure.loops import Loop
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
@@ -51,8 +42,8 @@ from asbuilt.description.structure.parts import (
     Symbols,
     ancestors,
 )
-from asbuilt.errors import DescriptionError
-from asbuilt.findings import join_names
+from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure, join_names
 from asbuilt.tables import Column, Table
 
 if TYPE_CHECKING:
@@ -101,9 +92,9 @@ class RobotModel:
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
     many arms; the motors' torques act on the joints by its transpose. None means T = 1.
     `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`, and
-    `find_held_followers` those among them that follow a joint which moves, with that joint;
-    `find_assumed_carriers` those that carry a joint which moves, or move it too, at a position
-    that nobody gave.
+    `held_followers` those among them that follow a joint which moves, with that joint;
+    `assumed_carriers` those that carry a joint which moves, or move it too, at a position that
+    nobody gave.
     `mass_ranges` bound masses from sources other than the description, such as a scale.
     `usual_drive` names the drive terms that this robot calls for, empty for those that the source
     of its torques calls for.
@@ -126,9 +117,24 @@ class RobotModel:
     locked_joints: Mapping[str, float] = field(default_factory=dict)
     held_followers: Mapping[str, str] = field(default_factory=dict)
     assumed_carriers: tuple[str, ...] = ()
-    mass_ranges: tuple[MassRange, ...] = ()
+    mass_ranges: tuple[MassRange, ...] = field(
+        default=(),
+        metadata=store_as(
+            encode=lambda ranges: [[*make_plain(known).values()] for known in ranges],
+            decode=lambda ranges: tuple(
+                MassRange(tuple(links), lower, np.inf if upper is None else upper)
+                for links, lower, upper in ranges
+            ),
+        ),
+    )
     usual_drive: str = ""
-    contacts: tuple[Contact, ...] = ()
+    contacts: tuple[Contact, ...] = field(
+        default=(),
+        metadata=store_as(
+            encode=lambda contacts: [*map(str, contacts)],
+            decode=lambda texts: Contact.parse(",".join(texts)) if texts else (),
+        ),
+    )
     described_gravity: Array | None = None
     source: str = ""
     citation: str = ""
@@ -259,12 +265,12 @@ class RobotModel:
     @property
     def n_floating(self) -> int:
         """Number of coordinates of the base, which come first: 6, 3 if planar, 0 if it is fixed."""
-        return count_base_joints(self.joints, self.links)
+        return len(JOINTS_OF[self.base_kind])
 
     @property
     def base_kind(self) -> BaseKind:
         """How the base can move."""
-        return classify_base(self.n_floating)
+        return classify_base(self.joints, self.links)
 
     @property
     def driven_joints(self) -> range:
@@ -289,11 +295,27 @@ class RobotModel:
 
     def require_root(self, reason: str) -> None:
         """Raise `UsageError` with a reason if the base can move."""
-        refuse_free_base(self.name, self.n_floating, reason)
+        if self.n_floating:
+            raise UsageError(
+                f"{self.name} has a free base, and {reason}",
+                cure=Cure(
+                    "hold its base, if it hangs or stands clamped", settings={"fixed_base": True}
+                ),
+            )
 
     def require_no_reactions(self) -> None:
-        """Raise `UsageError` if forces may act at which trajectories jump."""
-        refuse_ground(self.name, self.contacts)
+        """Raise `UsageError` if forces may act at which trajectories jump.
+
+        A refinement follows how trajectories depend on parameters, which jumps where feet strike.
+        """
+        if self.contacts:
+            raise UsageError(
+                f"{self.name} touches the ground, and a refinement by trajectories simulates none,"
+                " since how they depend on the parameters jumps where feet strike",
+                cure=Cure(
+                    "leave the refinement out, and compare rollouts", {"rollout": "0.05,0.1,0.2"}
+                ),
+            )
 
     @cached_property
     def on_held_base(self) -> RobotModel:
@@ -404,17 +426,10 @@ class RobotModel:
             # numba is slow to import, and most robots have no loops
             from asbuilt.description.structure.closure import derive_closure  # noqa: PLC0415
 
-            return derive_closure(
-                self.name,
-                self.moving_joints,
-                self.n_joints,
-                self.loops,
-                self.posture,
-                self.places,
-            )
+            return derive_closure(self)
         if all(joint.mimic is None for joint in self.moving_joints):
             return OneToOne(self.n_joints)
-        return derive_coupling(self.name, self.joints, self.followers)
+        return derive_coupling(self)
 
     @property
     def closure(self) -> Closure | None:
@@ -464,14 +479,7 @@ class RobotModel:
         """Take the joints of loops that have no motor for passive."""
         from asbuilt.description.structure.closure import find_passive_joints  # noqa: PLC0415
 
-        found = find_passive_joints(
-            self.name,
-            self.moving_joints,
-            self.n_joints,
-            self.loops,
-            self.posture,
-            self.places,
-        )
+        found = find_passive_joints(self)
         object.__setattr__(
             self,
             "joints",
@@ -509,21 +517,7 @@ class RobotModel:
 
         Its motors that are no joints turn rotors without weight.
         """
-        if all(joint.mimic is None for joint in self.joints):
-            return self
-        joints, followers, links, frames = with_rotors(
-            self.joints, self.followers, self.links, self.frames
-        )
-        shares = self.motor_shares
-        turning = np.where(np.any(shares, axis=1)[:, None], shares, np.eye(self.n_joints))
-        return replace(
-            self,
-            joints=joints,
-            followers=followers,
-            links=links,
-            frames=frames,
-            motor_coupling=turning if shares.any() else None,
-        )
+        return with_rotors(self)
 
     def in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
         """Return the joints of all links, links and frames, parents before their children."""
@@ -538,25 +532,8 @@ class RobotModel:
 
     def _set_followers_apart(self) -> None:
         """Move joints that follow others behind those that have a drive."""
-        parts, driven, notes = separate_followers(
-            self.name, self.joints, self.followers, self.links, self.frames
-        )
-        if self.motor_coupling is not None:
-            T = np.asarray(self.motor_coupling)
-            behind = [k for k in range(len(self.joints)) if k not in driven]
-            if T.shape == (len(self.joints),) * 2:
-                if not np.array_equal(T[behind], np.eye(len(T))[behind]) or np.any(
-                    T[np.ix_(driven, behind)]
-                ):
-                    raise DescriptionError(
-                        f"{self.name}: motor_coupling names joint {self.joints[behind[0]].name!r},"
-                        " which follows another and has no motor; leave it out"
-                    )
-                object.__setattr__(self, "motor_coupling", T[np.ix_(driven, driven)])
-        for name, part in parts.items():
+        for name, part in separate_followers(self).items():
             object.__setattr__(self, name, part)
-        new = (note for note in notes if note not in self.notes)
-        object.__setattr__(self, "notes", (*self.notes, *new))
 
     @property
     def parameters(self) -> Array:
@@ -660,44 +637,7 @@ class RobotModel:
         >>> elbow.joint_names, elbow.locked_joints
         (('joint_1',), {'joint_2': 0.5})
         """
-        present, all_links, all_frames = self.in_tree_order()
-        values, after, places = derive_locked_positions(
-            self.name, present, self.locked_joints, joints
-        )
-        if not values:
-            return self
-        kept, links, frames = merge_locked_links(after, all_links, all_frames, places)
-        coupling = self.motor_coupling
-        if coupling is not None:
-            free = [k for k, name in enumerate(self.joint_names) if name not in values]
-            coupling = coupling[np.ix_(free, free)]
-            if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(self.joint_map, OneToOne):
-                raise DescriptionError(
-                    f"{self.name}: with {', '.join(values)} locked, the coupled motors of the other"
-                    " joints do not turn with these alone; lock the joints coupled to them too"
-                )
-            if np.array_equal(coupling, np.eye(len(free))):
-                coupling = None
-        return replace(
-            self,
-            joints=kept,
-            links=links,
-            frames=frames,
-            followers=(),
-            posture={name: q for name, q in self.posture.items() if name not in values},
-            motor_coupling=coupling,
-            locked_joints={**self.locked_joints, **values},
-            held_followers=find_held_followers(present, self.held_followers, values),
-            assumed_carriers=find_assumed_carriers(
-                present, self.assumed_carriers, joints, values, places
-            ),
-            usual_drive="",
-            mass_ranges=tuple(
-                known
-                for known in self.mass_ranges
-                if {*known.links} <= {link.name for link in links}
-            ),
-        )
+        return lock_joints(self, joints)
 
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:
         """Return the same robot with another gravity [m/s^2] in the root frame."""

@@ -7,9 +7,8 @@ many. Its size tells, without any log.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.parts import ancestors
-from asbuilt.findings import Cure, Finding, join_names, rank_findings
+from asbuilt.findings import Cure, Finding, Severity, join_names, rank_findings
 
 
 def find_inconsistencies(model: RobotModel) -> tuple[str, ...]:
@@ -36,22 +34,12 @@ def find_inconsistencies(model: RobotModel) -> tuple[str, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Plausibility:
-    """Thresholds of mass properties."""
-
-    lightest: float = 100.0
-    """Density [kg/m^3] of a hollow housing with thin walls; foam and balsa are lighter."""
-    heaviest: float = 20000.0
-    """Density [kg/m^3] above tungsten's, 19300."""
-    equal: float = 1e-6
-    """Relative difference below which two values count as copied."""
-    change: float = 0.2
-    """Relative difference to the computed value that is worth a note: a CAD model without cables,
-    grease and paint differs by less."""
-
-
-LIMITS = Plausibility()
+LIGHTEST = 100.0
+"""Density [kg/m^3] of a hollow housing with thin walls; foam and balsa are lighter."""
+HEAVIEST = 20000.0
+"""Density [kg/m^3] above tungsten's, 19300."""
+EQUAL = 1e-6
+"""Relative difference below which two values count as copied."""
 AIR = 1.2
 """Density of air [kg/m^3]; a ball of a link's mass and radius of gyration is hardly lighter."""
 SHORTEST_REACH = 1.0
@@ -161,7 +149,7 @@ class _Build:
     @property
     def is_too_dense(self) -> bool:
         """Whether no matter is so dense."""
-        return self.density > LIMITS.heaviest
+        return self.density > HEAVIEST
 
     @property
     def is_too_wide(self) -> bool:
@@ -195,21 +183,21 @@ def check_plausibility(model: RobotModel) -> tuple[Finding, ...]:
     >>> check_plausibility(load_robot("ur10e"))
     ()
     """
-    reach = max(stretched_length(model), SHORTEST_REACH)
+    length = stretched_length(model)
     findings = [
-        *_check_lengths(model),
+        *_check_length(model.name, length),
         *(
             finding
-            for k, link in enumerate(model.links)
+            for link in model.links
             if link.has_mass
             for finding in (
-                *check_slots(link.name, link.inertia),
-                *check_unit_inertia(link.name, link.inertia, LIMITS),
-                *_check_centre(model, k, reach),
+                *_check_slots(link.name, link.inertia),
+                *_check_unit_inertia(link.name, link.inertia),
+                *_check_centre(link.name, link.inertia, length),
             )
         ),
         *_check_sizes(_measure_links(model)),
-        *report_copies(model, LIMITS),
+        *_report_copies(model),
     ]
     return rank_findings(findings)
 
@@ -359,16 +347,13 @@ def _report_units(builds: Sequence[_Build], unit: _Misreading) -> Finding:
 def _report_link(build: _Build, slips: Sequence[_Misreading]) -> Finding:
     """Return the finding on one link; mass and inertia alone do not tell which of them is wrong."""
     dense = build.is_too_dense
-    bound = (
-        f"more than any matter has ({LIMITS.heaviest:g})" if dense else f"less than air ({AIR:g})"
-    )
+    bound = f"more than any matter has ({HEAVIEST:g})" if dense else f"less than air ({AIR:g})"
     message = f"{_describe_build(build)}: {bound}"
     if slips:
         message += f"; its {' or its '.join(slip.claim for slip in slips)}"
     cure = Cure("correct it in the description, or compute masses from shapes", call="link_masses")
-    if dense:
-        return make_link_finding("implausible_density", "error", build.name, message, cure)
-    return make_link_finding("inertia_too_large", "error", build.name, message, cure)
+    code = "implausible_density" if dense else "inertia_too_large"
+    return make_link_finding(code, "error", build.name, message, cure)
 
 
 def _describe_build(build: _Build) -> str:
@@ -380,57 +365,48 @@ def _describe_build(build: _Build) -> str:
     )
 
 
-def _check_lengths(model: RobotModel) -> list[Finding]:
-    reach = stretched_length(model)
-    if reach <= LONGEST_REACH:
-        return []
-    message = f"{model.name} is {reach:.4g} m long when it is stretched: lengths 1000 times too"
-    return [
-        Finding(
+def _check_length(robot: str, length: float) -> Iterator[Finding]:
+    """Yield a finding where a robot is too long when it is stretched [m]."""
+    if length > LONGEST_REACH:
+        yield Finding(
             "description_units",
             "error",
-            f"{message} large, as in mm, make it {1e-3 * reach:.3g} m",
+            f"{robot} is {length:.4g} m long when it is stretched: lengths 1000 times too large, as"
+            f" in mm, make it {1e-3 * length:.3g} m",
             Cure("write lengths in metres in the description"),
         )
-    ]
 
 
-def _check_centre(model: RobotModel, index: int, reach: float) -> list[Finding]:
-    link = model.links[index]
-    away = float(np.linalg.norm(link.inertia.com))
-    if away <= reach:
-        return []
-    return [
-        make_link_finding(
+def _check_centre(name: str, body: LinkInertia, length: float) -> Iterator[Finding]:
+    """Yield a finding where a centre of mass is farther away than a robot of this length [m]."""
+    away = float(np.linalg.norm(body.com))
+    if away > max(length, SHORTEST_REACH):
+        yield make_link_finding(
             "com_outside",
             "error",
-            link.name,
+            name,
             f"its centre of mass lies {away:.4g} m from its frame, and the whole robot is"
-            f" {stretched_length(model):.3g} m long; 1000 times too large, as in mm, it would be"
+            f" {length:.3g} m long; 1000 times too large, as in mm, it would be"
             f" {1e-3 * away:.3g} m",
             Cure("write the centre of mass in metres, from the frame of the link"),
         )
-    ]
 
 
-def check_slots(name: str, body: LinkInertia) -> list[Finding]:
-    """Return a finding where a product of inertia repeats a moment: a value in a wrong slot."""
+def _check_slots(name: str, body: LinkInertia) -> Iterator[Finding]:
+    """Yield a finding where a product of inertia repeats a moment: a value in a wrong slot."""
     tensor = body.inertia_about_com
     products = {"Ixy": tensor[0, 1], "Ixz": tensor[0, 2], "Iyz": tensor[1, 2]}
     moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(tensor), strict=True))
     # The sum about the origin takes digits from a tensor about a distant centre of mass.
     slack = 1e-9 * float(np.abs(body.inertia).max())
-    pairs = [
+    pairs = (
         (moment, product)
         for moment, m in moments.items()
         for product, p in products.items()
         if m > 0.0 and abs(m - abs(p)) <= slack and m > 10.0 * slack
-    ]
-    if not pairs:
-        return []
-    moment, product = pairs[0]
-    return [
-        make_link_finding(
+    )
+    for moment, product in itertools.islice(pairs, 1):
+        yield make_link_finding(
             "inertia_slots",
             "error",
             name,
@@ -438,21 +414,19 @@ def check_slots(name: str, body: LinkInertia) -> list[Finding]:
             " m^2: one value stands in two places of the tensor",
             Cure("write ixx ixy ixz iyy iyz izz in their places"),
         )
-    ]
 
 
-def check_unit_inertia(name: str, body: LinkInertia, limits: Plausibility) -> list[Finding]:
-    """Return a finding where an inertia is the 1 kg m^2 that editors write by default."""
-    if body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=limits.equal):
+def _check_unit_inertia(name: str, body: LinkInertia) -> Iterator[Finding]:
+    """Yield a finding where an inertia is the 1 kg m^2 that editors write by default."""
+    if body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=EQUAL):
         message = "its inertia is 1 kg m^2 about every axis"
-        return [make_link_finding("unit_inertia", "error", name, message)]
-    return []
+        yield make_link_finding("unit_inertia", "error", name, message)
 
 
 def check_in_shape(
-    name: str, body: LinkInertia, volume: float, corners: Array, limits: Plausibility
-) -> list[Finding]:
-    """Return what is implausible about a body of a shape.
+    name: str, body: LinkInertia, volume: float, corners: Array
+) -> Iterator[Finding]:
+    """Yield what is implausible about a body of a shape.
 
     Parameters
     ----------
@@ -463,86 +437,66 @@ def check_in_shape(
     corners
         Lower and upper corner of the box around it along the link axes [m], shape (2, 3), NaN if
         they are not known: then nothing is found.
-    limits
-        What is plausible.
     """
     lower, upper = corners
     density = body.mass / volume
+    if np.isfinite(density) and not LIGHTEST <= density <= HEAVIEST:
+        yield make_link_finding(
+            "implausible_density",
+            "error",
+            name,
+            f"{body.mass:.4g} kg in {1e3 * volume:.4g} litres is {density:.3g} kg/m^3, outside"
+            f" {LIGHTEST:g} to {HEAVIEST:g}",
+        )
     moments = np.diag(body.inertia_about_com)
     half = (upper - lower) / 2.0
     largest = body.mass * (np.sum(half**2) - half**2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        axis = int(np.argmax(moments / largest))
+    if np.any(moments > (1.0 + EQUAL) * largest):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            axis = int(np.argmax(moments / largest))
+        yield make_link_finding(
+            "inertia_too_large",
+            "error",
+            name,
+            f"I{'xyz'[axis] * 2} about the centre of mass is {moments[axis]:.3g} kg m^2; within its"
+            f" box {body.mass:.4g} kg have at most {largest[axis]:.3g}",
+        )
     outside = np.maximum(lower - body.com, body.com - upper).max()
-    possible = (
-        (
-            np.isfinite(density) and not limits.lightest <= density <= limits.heaviest,
-            make_link_finding(
-                "implausible_density",
-                "error",
-                name,
-                f"{body.mass:.4g} kg in {1e3 * volume:.4g} litres is {density:.3g}"
-                f" kg/m^3, outside {limits.lightest:g} to {limits.heaviest:g}",
-            ),
-        ),
-        (
-            np.any(moments > (1.0 + limits.equal) * largest),
-            make_link_finding(
-                "inertia_too_large",
-                "error",
-                name,
-                f"I{'xyz'[axis] * 2} about the centre of mass is {moments[axis]:.3g} kg m^2; within"
-                f" its box {body.mass:.4g} kg have at most {largest[axis]:.3g}",
-            ),
-        ),
-        (
-            body.mass > 0.0 and outside > limits.equal * half.max(),
-            make_link_finding(
-                "com_outside",
-                "warning",
-                name,
-                f"its centre of mass lies {1e3 * outside:.3g} mm outside the box of its geometry",
-            ),
-        ),
-    )
-    return [finding for holds, finding in possible if holds]
+    if body.mass > 0.0 and outside > EQUAL * half.max():
+        yield make_link_finding(
+            "com_outside",
+            "warning",
+            name,
+            f"its centre of mass lies {1e3 * outside:.3g} mm outside the box of its geometry",
+        )
 
 
-def report_copies(model: RobotModel, limits: Plausibility) -> list[Finding]:
-    """Return a finding per link whose inertia about the centre of mass equals another link's.
+def _report_copies(model: RobotModel) -> Iterator[Finding]:
+    """Yield a finding per link whose inertia about the centre of mass equals another link's.
 
     Only links of one chain count: legs, fingers and arms have equals.
     """
-    tensors = {
-        k: link.inertia.inertia_about_com for k, link in enumerate(model.links) if link.has_mass
-    }
-    chains = {k: set(ancestors(model.moving_joints, k)) for k in tensors}
-    findings = []
+    bodies = {k: link.inertia for k, link in enumerate(model.links) if link.has_mass}
+    tensors = {k: body.inertia_about_com for k, body in bodies.items()}
+    chains = {k: set(model.ancestors(k)) for k in bodies}
     for k, tensor in tensors.items():
         same = [
             model.links[j].name
             for j, other in tensors.items()
             if j != k
             and (j in chains[k] or k in chains[j])
-            and np.isclose(
-                model.links[k].inertia.mass,
-                model.links[j].inertia.mass,
-                rtol=limits.equal,
-                atol=0.0,
-            )
-            and np.abs(tensor - other).max() <= limits.equal * np.abs(tensor).max()
+            and np.isclose(bodies[k].mass, bodies[j].mass, rtol=EQUAL, atol=0.0)
+            and np.abs(tensor - other).max() <= EQUAL * np.abs(tensor).max()
         ]
         if same:
+            name = model.links[k].name
             message = f"same mass and inertia as {join_names(same)}"
-            findings.append(
-                make_link_finding("copied_inertia", "warning", model.links[k].name, message)
-            )
-    return findings
+            yield make_link_finding("copied_inertia", "warning", name, message)
 
 
 def make_link_finding(
     code: str,
-    severity: Literal["error", "warning", "info"],
+    severity: Severity,
     link: str,
     message: str,
     cure: Cure | None = None,
@@ -553,8 +507,6 @@ def make_link_finding(
 
 def add_plausibility(model: RobotModel, findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings with those of the description that say something new of a link."""
-    said: Mapping[tuple[str, str | None], bool] = {
-        (finding.code, finding.link): True for finding in findings
-    }
+    said = {(finding.code, finding.link) for finding in findings}
     new = [each for each in check_plausibility(model) if (each.code, each.link) not in said]
     return rank_findings([*new, *findings])

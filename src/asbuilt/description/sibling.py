@@ -13,15 +13,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from asbuilt.codec import make_plain
 from asbuilt.description.inertia import PARAMETER_NAMES, LinkInertia
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import PLAIN_TERMS, RobotModel
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure, join_names
 from asbuilt.ranges import Range
 from asbuilt.untrusted import parse_json, read_text
-
-DRIVES = ("armature", "viscous", "coulomb", "offset")
-"""Drive values that a sibling has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +54,9 @@ class Sibling:
         links = {link.name: tuple(link.inertia.parameters.tolist()) for link in model.links}
         drives = {
             joint.name: {
-                key: value for key in DRIVES if (value := getattr(joint.drive, key)) is not None
+                key: value
+                for key in PLAIN_TERMS
+                if (value := getattr(joint.drive, key)) is not None
             }
             for joint in model.joints
         }
@@ -99,11 +99,7 @@ class Sibling:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON."""
-        return {
-            "robot": self.robot,
-            "links": {name: list(values) for name, values in self.links.items()},
-            "drives": {name: dict(values) for name, values in self.drives.items()},
-        }
+        return make_plain(self)  # type: ignore[no-any-return]
 
 
 def read_sibling(path: str | Path) -> Sibling:
@@ -128,17 +124,8 @@ def read_sibling(path: str | Path) -> Sibling:
             {name: _read_drive(name, values) for name, values in drives.items()},
         )
     except (KeyError, TypeError, ValueError, AttributeError) as problem:
-        if isinstance(problem, DescriptionError):
-            raise DescriptionError(
-                f"{path} has no robot as built: {problem.message}", cure=cure
-            ) from None
-        raise DescriptionError(
-            f"{path} has no robot as built: {_explain_problem(problem)}", cure=cure
-        ) from problem
-
-
-def _explain_problem(problem: Exception) -> str:
-    return f"it lacks {problem}" if isinstance(problem, KeyError) else str(problem)
+        why = f"it lacks {problem}" if isinstance(problem, KeyError) else str(problem)
+        raise DescriptionError(f"{path} has no robot as built: {why}", cure=cure) from problem
 
 
 MASS = Range(0.0, 1e5, "kg")
@@ -171,8 +158,8 @@ def _read_link(name: str, values: Any) -> tuple[float, ...]:
 def _read_drive(name: str, values: Any) -> dict[str, float]:
     """Return the known values of a drive; raises `DescriptionError` with joint, name and value."""
     if not isinstance(values, dict):
-        raise DescriptionError(f"drive {name!r} is no table of {', '.join(DRIVES)}")
-    found = {key: values[key] for key in DRIVES if key in values}
+        raise DescriptionError(f"drive {name!r} is no table of {', '.join(PLAIN_TERMS)}")
+    found = {key: values[key] for key in PLAIN_TERMS if key in values}
     for key, value in found.items():
         _require_number(f"{key} of drive {name!r}", value, OFFSET if key == "offset" else LOSS)
     return {key: float(value) for key, value in found.items()}

@@ -190,12 +190,8 @@ class LimitsTable(_Table):
     torque: Positive = math.inf
 
     @model_validator(mode="after")
-    def _ordered(self) -> LimitsTable:
-        if not self.lower <= self.upper or self.lower == math.inf or self.upper == -math.inf:
-            raise ValueError(
-                f"lower = {self.lower} must not exceed upper = {self.upper}, and neither may lie"
-                " beyond all positions"
-            )
+    def _sound(self) -> LimitsTable:
+        self.in_si(1.0)
         return self
 
     def in_si(self, scale: float) -> JointLimits:
@@ -308,6 +304,7 @@ class CouplingTable(_Table):
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
+    __pydantic_extra__: dict[str, dict[str, Finite]] = Field(init=False)
 
     motor: str | None = None
     turns: dict[str, Finite] = {}
@@ -315,27 +312,18 @@ class CouplingTable(_Table):
 
     @model_validator(mode="after")
     def _one_form(self) -> CouplingTable:
-        joints = self.__pydantic_extra__ or {}
-        if self.motor is not None and not joints:
+        moved = self.__pydantic_extra__ or {}
+        if self.motor is not None and not moved:
             if not self.turns:
                 raise ValueError("turns is missing: the share of each joint the motor turns with")
             return self
-        if self.motor is not None or self.turns or len(joints) != 1:
+        if self.motor is not None or self.turns or len(moved) != 1:
             raise ValueError(
                 "give one joint and what moves it, such as wrist = {motor_5 = 1.0}, or motor and"
                 f" turns; got {', '.join((*self.model_fields_set,)) or 'nothing'}"
             )
-        name, factors = next(iter(joints.items()))
-        if (
-            not isinstance(factors, dict)
-            or not factors
-            or any(
-                isinstance(factor, bool)
-                or not isinstance(factor, int | float)
-                or not abs(factor) <= LARGEST
-                for factor in factors.values()
-            )
-        ):
+        ((name, factors),) = moved.items()
+        if not factors:
             raise ValueError(
                 f"{name} must be a table of motors or joints with finite factors, such as"
                 f" {name} = {{motor_5 = 1.0}}; got {factors!r}"
@@ -345,9 +333,7 @@ class CouplingTable(_Table):
     @property
     def joint(self) -> tuple[str, dict[str, float]] | None:
         """The joint and the factors of what moves it, None for the far side of a drive."""
-        for name, factors in (self.__pydantic_extra__ or {}).items():
-            return name, {source: float(factor) for source, factor in factors.items()}
-        return None
+        return next(iter((self.__pydantic_extra__ or {}).items()), None)
 
 
 class LoopTable(_Table):

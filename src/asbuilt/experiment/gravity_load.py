@@ -30,12 +30,7 @@ def match_load(model: RobotModel, q: Array, columns: list[Array], scale: float) 
     positions are none.
     """
     step, load = _evaluate_load(model, q, scale)
-    if load is None:
-        return np.zeros(len(columns))
-    # A joint carries load from a tenth of the largest joint's range on.
-    heavy = np.ptp(load, axis=0) > 0.1 * max(float(np.ptp(load, axis=0).max()), 1e-9)
-    found = [correlations(load[:, heavy], tau[::step][:, heavy]) for tau in columns]
-    return np.array([np.median(np.abs(each)) for each in found])
+    return np.array([0.0 if load is None else _correlate(load, tau[::step]) for tau in columns])
 
 
 def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "deg"] | None:
@@ -46,8 +41,14 @@ def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["r
     """
     if not all(joint.is_revolute for joint in model.joints):
         return None
-    shares = [_measure_explained_share(model, q, tau, scale) for scale in (1.0, DEGREE)]
-    matches = [match_load(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
+    evidence = []
+    for scale in (1.0, DEGREE):
+        step, load = _evaluate_load(model, q, scale)
+        rows = tau[::step]
+        evidence.append(
+            (0.0, 0.0) if load is None else (_explain(load, rows), _correlate(load, rows))
+        )
+    shares, matches = zip(*evidence, strict=True)
     for (plain, turned), least, apart in (
         (shares, CLEAR_SHARE, CLEAR_SHARE),
         (matches, CLEAR_LOAD, CLEARLY_BETTER),
@@ -69,13 +70,17 @@ def _evaluate_load(model: RobotModel, q: Array, scale: float) -> tuple[int, Arra
     return step, gravity_torque(model, scale * rows)
 
 
-def _measure_explained_share(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
-    """Return the share of the torques' variance that gravity's torque explains, at least 0."""
-    step, load = _evaluate_load(model, q, scale)
-    if load is None:
-        return 0.0
+def _correlate(load: Array, tau: Array) -> float:
+    """Return the median magnitude of correlations with a load (N, n), where that is heavy."""
+    # A joint carries load from a tenth of the largest joint's range on.
+    heavy = np.ptp(load, axis=0) > 0.1 * max(float(np.ptp(load, axis=0).max()), 1e-9)
+    return float(np.median(np.abs(correlations(load[:, heavy], tau[:, heavy]))))
+
+
+def _explain(load: Array, tau: Array) -> float:
+    """Return the share of the torques' variance that a load explains, at least 0."""
     x = load - load.mean(axis=0)
-    y = tau[::step] - tau[::step].mean(axis=0)
+    y = tau - tau.mean(axis=0)
     power = float(np.sum(y**2))
     rest = min(float(np.sum((y - sign * x) ** 2)) for sign in (1.0, -1.0))
     return max(0.0, 1.0 - rest / power) if power > 0.0 else 0.0

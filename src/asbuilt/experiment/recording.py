@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "command", "unknown")
+OF_JOINTS = ("q", "tau", "qd", "qdd", "command")
+"""Channels of a recording with a column for each joint."""
 EncoderSide = Literal["motor", "link"]
 ENCODERS: Mapping[str, str] = {"motor": "q_motor", "link": "q_link"}
 """Positions of a second encoder of each joint, by the side of the drive train that it is on."""
@@ -112,15 +114,14 @@ class Recording:
     stated: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        named = {name: getattr(self, name) for name in ("t", "q", "tau", "qd", "qdd", "command")}
+        t = _freeze(self.t, "t", self.source)
+        # None is refused as a torque, as it is no array of the shape of q.
         channels = {
-            name: _freeze(values, name, self.source)
-            for name, values in named.items()
-            # None is refused as a torque, as it is no array of the shape of q.
-            if name == "tau" or values is not None
+            name: _freeze(getattr(self, name), name, self.source)
+            for name in OF_JOINTS
+            if name == "tau" or getattr(self, name) is not None
         }
         extra = {name: _freeze(values, name, self.source) for name, values in self.extra.items()}
-        t = channels["t"]
         q = channels["q"]
         if t.ndim != 1 or t.size == 0:
             raise RecordingError(
@@ -136,7 +137,7 @@ class Recording:
                 value=q.shape,
             )
         for name, array in channels.items():
-            if name != "t" and array.shape != q.shape:
+            if array.shape != q.shape:
                 raise RecordingError(
                     f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
                     file=self.source,
@@ -184,11 +185,13 @@ class Recording:
                     value=array.shape,
                 )
         settled = {
+            "t": t,
+            **channels,
             "joint_names": names,
             "notes": tuple(self.notes),
             "extra": MappingProxyType(extra),
         }
-        for name, value in {**channels, **settled}.items():
+        for name, value in settled.items():
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
@@ -274,12 +277,15 @@ class Recording:
     @property
     def rate(self) -> float:
         """Inverse of the median positive time step [Hz]; NaN if there is none."""
-        return median_rate(self.t)
+        steps = np.diff(self.t)
+        steps = steps[np.isfinite(steps) & (steps > 0)]
+        return 1.0 / float(np.median(steps)) if steps.size else float("nan")
 
     @property
     def duration(self) -> float:
         """Time from the earliest to the latest sample [s]."""
-        return time_span(self.t)
+        known = self.t[np.isfinite(self.t)]
+        return float(np.ptp(known)) if known.size else float("nan")
 
     def flipped(self) -> Recording:
         """Return the recording with the opposite sign of all torques, also of extra ones."""
@@ -334,16 +340,17 @@ class Recording:
         }
         return replace(
             self,
-            q=self.q[:, order],
-            tau=self.tau[:, order],
-            qd=None if self.qd is None else self.qd[:, order],
-            qdd=None if self.qdd is None else self.qdd[:, order],
+            **self._change_channels(lambda x: x[:, order]),
             joint_names=tuple(names),
             extra=extra,
             gains=None if self.gains is None else tuple(self.gains[k] for k in order),
-            command=None if self.command is None else self.command[:, order],
             servo=None if self.servo is None else self.servo.reordered(order),
         )
+
+    def _change_channels(self, change: Callable[[Array], Array]) -> dict[str, Any]:
+        """Return the channels of the joints (N, n) changed, None where they were not logged."""
+        channels = {name: getattr(self, name) for name in OF_JOINTS}
+        return {name: None if x is None else change(x) for name, x in channels.items()}
 
     def behind(
         self, names: Sequence[str], q: Array, qd: Array | None, qdd: Array | None
@@ -353,20 +360,16 @@ class Recording:
         Rates are left out where they are known of some joints alone.
         """
         still = np.zeros_like(q)
-
-        def join(first: Array | None, own: Array | None) -> Array | None:
-            return None if first is None or own is None else np.hstack([first, own])
-
+        before = {"q": q, "tau": still, "qd": qd, "qdd": qdd, "command": still}
+        joined: dict[str, Any] = {
+            name: _join([first, getattr(self, name)], axis=1) for name, first in before.items()
+        }
         return replace(
             self,
-            q=np.hstack([q, self.q]),
-            tau=np.hstack([still, self.tau]),
-            qd=join(qd, self.qd),
-            qdd=join(qdd, self.qdd),
+            **joined,
             joint_names=(*names, *self.joint_names),
             undriven=tuple(names),
             gains=None if self.gains is None else (*[1.0] * len(names), *self.gains),
-            command=join(still, self.command),
             servo=None if self.servo is None else self.servo.behind_base(len(names)),
         )
 
@@ -388,13 +391,9 @@ class Recording:
             )
         return replace(
             self,
+            **self._change_channels(lambda x: x[keep]),
             t=self.t[keep],
-            q=self.q[keep],
-            tau=self.tau[keep],
-            qd=None if self.qd is None else self.qd[keep],
-            qdd=None if self.qdd is None else self.qdd[keep],
             extra={name: value[keep] for name, value in self.extra.items()},
-            command=None if self.command is None else self.command[keep],
             contact=None if self.contact is None else self.contact[keep],
         )
 
@@ -446,32 +445,22 @@ def spread_over_joints(recording: Recording, given: Any, what: str) -> Array:
     return np.broadcast_to(numbers, recording.n_joints)
 
 
-def median_rate(t: Array) -> float:
-    """Return the inverse of the median positive step of times (N,); NaN if there is none."""
-    steps = np.diff(t)
-    steps = steps[np.isfinite(steps) & (steps > 0)]
-    return 1.0 / float(np.median(steps)) if steps.size else float("nan")
-
-
-def time_span(t: Array) -> float:
-    """Return the time from the earliest to the latest of times (N,) [s]."""
-    return float(np.nanmax(t) - np.nanmin(t)) if np.any(np.isfinite(t)) else float("nan")
-
-
 def join_recordings(parts: Sequence[Recording]) -> Recording:
     """Return consecutive parts of a recording as one, with the channels that all of them have.
 
     Accelerations and extra quantities are left out.
     """
-    channels = {
-        name: [getattr(part, name) for part in parts]
+    joined: dict[str, Any] = {
+        name: _join([getattr(part, name) for part in parts], axis=0)
         for name in ("t", "q", "tau", "qd", "command", "contact")
     }
-    joined = {
-        name: None if any(x is None for x in values) else np.concatenate(values)
-        for name, values in channels.items()
-    }
-    return replace(parts[-1], **cast(Any, joined), qdd=None, extra={})
+    return replace(parts[-1], **joined, qdd=None, extra={})
+
+
+def _join(parts: Sequence[Array | None], axis: int) -> Array | None:
+    """Return parts of a channel as one; None where it was not logged in one of them."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known, axis) if len(known) == len(parts) else None
 
 
 def find_changed_rows(*channels: Array) -> Mask:

@@ -56,7 +56,7 @@ from asbuilt.identification.uncertainty.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, PoseNoise
+    from asbuilt.identification.uncertainty.pose_noise import MeanScores, PoseNoise
 
 # Say when friction that depends on load has settled: own choice, tested on virtual robots.
 #
@@ -275,7 +275,7 @@ def fit_samples(
     block_seconds: float | None = None,
     threads: int | None = None,
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
-    expected: ExpectedScores | None = None,
+    expected: MeanScores | None = None,
     kept: KeptRows | None = None,
     kind: str = "",
 ) -> Fit:

@@ -16,7 +16,6 @@ from .result_files import read_result as read_result
 from .result_files import read_study as read_study
 from .rollout import roll_out_result as roll_out_result
 from .rollout import roll_out_robot as roll_out_robot
-from .study import Study as Study
 from .study import identify as identify
 from .study_options import ChannelOptions as ChannelOptions
 from .study_options import ControllerOptions as ControllerOptions
@@ -24,6 +23,7 @@ from .study_options import GainOptions as GainOptions
 from .study_options import PayloadOptions as PayloadOptions
 from .study_options import StudyOptions as StudyOptions
 from .study_options import ValidationOptions as ValidationOptions
+from .study_result import Study as Study
 from .validation import review as review
 from .validation import validate as validate
 from .validation import validate_robot as validate_robot

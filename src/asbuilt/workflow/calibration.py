@@ -50,8 +50,8 @@ from asbuilt.identification.result.torque_prediction import Prediction
 from asbuilt.scaled import find_column_space
 from asbuilt.tables import round_significant
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
-from asbuilt.workflow.study import Study
 from asbuilt.workflow.study_options import ChannelOptions, GainOptions, PayloadOptions
+from asbuilt.workflow.study_result import Study
 
 COMMON = 0.9
 """Least share of the samples of two channels that has equal time stamps."""

@@ -28,8 +28,8 @@ from asbuilt.validation import (
 )
 from asbuilt.validation.comparison.torque_change import tabulate_named_errors
 from asbuilt.workflow.prepare import prepare
-from asbuilt.workflow.study import Study
 from asbuilt.workflow.study_options import ControllerOptions
+from asbuilt.workflow.study_result import Study
 
 EXTERNAL = "tau_ext"
 

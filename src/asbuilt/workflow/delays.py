@@ -17,7 +17,7 @@ from asbuilt.dynamics import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment import Recording, Samples, hold_out
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.delay import DelayEstimate, find_delays

@@ -20,7 +20,7 @@ from asbuilt.experiment import (
 )
 from asbuilt.experiment.command.torque import drop_saturated
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.signal.samples import (
     HALF,
     RECORDINGS,

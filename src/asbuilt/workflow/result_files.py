@@ -12,7 +12,7 @@ from asbuilt.untrusted import read_text
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
-    from asbuilt.workflow.study import Study
+    from asbuilt.workflow.study_result import Study
 
 RESULT = "result.json"
 LARGEST = 30_000_000
@@ -50,7 +50,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     try:
         # Checked before the study is imported, which takes longer than the check.
         parse_stored_document(text)
-        from asbuilt.workflow.study import Study  # noqa: PLC0415 (heavy, and of no use before)
+        from asbuilt.workflow.study_result import Study  # noqa: PLC0415 (heavy, and of no use before)
 
         return Study.from_json(text)
     except ResultError as problem:

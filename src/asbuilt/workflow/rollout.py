@@ -18,7 +18,7 @@ from asbuilt.experiment.logs.recordings import (
     as_recordings,
     read_fitted_recordings,
 )
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.simulated_robot import (
     DriveSignal,

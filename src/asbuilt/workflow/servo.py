@@ -26,7 +26,7 @@ from asbuilt.experiment import (
     resolve_chain,
 )
 from asbuilt.experiment.command.torque import drop_slow_rows
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import (
@@ -40,7 +40,7 @@ from asbuilt.identification.trajectories.simulated_robot import (
     ServoCoordinates,
 )
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors, RecordingDelay
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
+from asbuilt.identification.uncertainty.pose_noise import MeanScores
 from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
@@ -128,7 +128,7 @@ class CommandedTorque(TorqueOrigin):
     servo: ServoEstimate
 
     @property
-    def expected(self) -> ExpectedScores | None:
+    def expected(self) -> MeanScores | None:
         """Scores that noise of the positions lends the parameters through the law."""
         return self.servo.expected
 

@@ -3,49 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from asbuilt.arrays import Array
-from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.description import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
-from asbuilt.errors import ResultError, UsageError
+from asbuilt.errors import UsageError
 from asbuilt.executor import Workers
-from asbuilt.experiment import (
-    ReadingOptions,
-    Recording,
-    RecordingCheck,
-    Samples,
-    SignalChain,
-    head_of,
-)
+from asbuilt.experiment import ReadingOptions, Recording, Samples, SignalChain, head_of
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.virtual.physics import import_mujoco
-from asbuilt.findings import Cure, Finding, rank_findings
-from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination
-from asbuilt.identification.result.stored_document import parse_stored_document
-from asbuilt.identification.result.summary import Summary, summarise
+from asbuilt.findings import Cure, rank_findings
 from asbuilt.registry import divide_settings
-from asbuilt.statistics import USUAL_ALPHA
-from asbuilt.tables import Table, format_share
-from asbuilt.validation import (
-    Attribution,
-    Comparison,
-    Rollout,
-    Validation,
-    Verdict,
-    compare,
-    rollout_findings,
-    study_verdict,
-)
-from asbuilt.validation.rollout.rollout import tabulate_joint_errors
-from asbuilt.validation.verdicts.model_errors import ModelErrors, choose_decisive_rollout
+from asbuilt.validation import rollout_findings
+from asbuilt.validation.verdicts.model_errors import choose_decisive_rollout
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fits import fit_study
@@ -58,177 +33,11 @@ from asbuilt.workflow.prepare import (
     with_settled_holdout,
 )
 from asbuilt.workflow.study_options import BLOCKS, StudyOptions
-from asbuilt.workflow.study_result import conclude_study
+from asbuilt.workflow.study_result import Study, conclude_study
 from asbuilt.workflow.torque_source import MeasuredTorque, TorqueOrigin
 
 if TYPE_CHECKING:
-    import polars as pl
-
-    from asbuilt.workflow.refinement import Refined
     from asbuilt.workflow.rollout import Simulated
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Study:
-    """Hold a result with all that is reported of it.
-
-    Attributes
-    ----------
-    result
-        The identified robot.
-    findings
-        What is wrong, or worth knowing, errors first.
-    checks
-        The checks of the recordings.
-    training
-        Predictions of the training data.
-    validations
-        Predictions of what was held out, then of the other recordings.
-    cutoffs
-        How the cutoff was chosen, if it was swept.
-    attribution
-        Which causes explain the error of CAD; None if the recordings are too short.
-    rollouts
-        Simulations of what was held out and of the other recordings, one per length of windows.
-    refined
-        How the refinement by trajectories went; None without one.
-    effects
-        What the recordings show and the description lacks, in the model or named only.
-    stored_verdict
-        The verdict that was stored with a study; None: it follows from the rest.
-
-    A study that is read from a file has the result, the findings and the verdict alone.
-    """
-
-    result: IdentificationResult
-    findings: tuple[Finding, ...]
-    checks: tuple[RecordingCheck, ...] = ()
-    training: tuple[Validation, ...] = ()
-    validations: tuple[Validation, ...] = ()
-    cutoffs: CutoffSweep | None = None
-    attribution: Attribution | None = None
-    rollouts: tuple[Rollout, ...] = ()
-    refined: Refined | None = None
-    effects: tuple[FoundEffect, ...] = ()
-    stored_verdict: Verdict | None = None
-
-    def __repr__(self) -> str:
-        codes = ", ".join(finding.code for finding in self.findings) or "none"
-        return f"<Study: {self.result!r}; findings: {codes}>"
-
-    def _repr_html_(self) -> str:
-        return self.summary()._repr_html_()
-
-    def summary(self) -> Summary:
-        """Summarise result and findings as text, HTML or CSV.
-
-        The errors of the joints are those that decide: of torque, or of simulated motion.
-        """
-        found = summarise(self.result, findings=self.findings, verdict=self.verdict.text)
-        simulated = choose_decisive_rollout(self.rollouts)
-        if self.verdict.measure == "torque" or simulated is None:
-            return replace(found, joints=_name_model(found.joints, self.verdict.error))
-        return replace(found, joints=tabulate_joint_errors(self.result.model, simulated))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the base parameters, in the order of every array of them."""
-        return self.result.names
-
-    @property
-    def params(self) -> Array:
-        """Estimates of the base parameters, shape (p,)."""
-        return self.result.params
-
-    @property
-    def bse(self) -> Array:
-        """Standard errors of the base parameters, shape (p,)."""
-        return self.result.bse
-
-    @property
-    def tvalues(self) -> Array:
-        """Estimates in standard errors, shape (p,)."""
-        return self.result.tvalues
-
-    def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
-        """Return confidence intervals, shape (p, 2): `IdentificationResult.conf_int`."""
-        return self.result.conf_int(alpha)
-
-    def to_frame(self, alpha: float = USUAL_ALPHA) -> pl.DataFrame:
-        """Return a polars frame with a row per base parameter: `IdentificationResult.to_frame`."""
-        return self.result.to_frame(alpha)
-
-    def predict(self, recording: Any, qd: Any = None, qdd: Any = None) -> Any:
-        """Predict the torque of a recording or of states: `IdentificationResult.predict`."""
-        return self.result.predict(recording, qd, qdd)
-
-    def plot(self, kind: str = "torque", of: Any = None, axes: Any = None) -> Array:
-        """Draw a figure: `IdentificationResult.plot`, of what was held out if anything was.
-
-        A study that was read from a file holds no recording: give one as `of`.
-        """
-        # What was held out, else what was used.
-        shown = (*self.validations, *self.training, None)[0] if of is None else of
-        return self.result.plot(kind, shown, axes)
-
-    @cached_property
-    def comparison(self) -> Comparison:
-        """CAD compared with as built."""
-        return compare(self.result, validation=(self.validations or self.training) or None)
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """Whether to use the model, in a sentence with its number."""
-        return self.stored_verdict or study_verdict(
-            self.result, self.findings, self.validations, self.rollouts
-        )
-
-    @cached_property
-    def determination(self) -> Determination:
-        """What the recordings determine, and which further motion would help."""
-        return determination(self.result)
-
-    def to_json(self) -> str:
-        """Return result and findings as JSON that `from_json` reads back to the last bit."""
-        return self.result.to_json(
-            warnings=[{"code": finding.code, "message": finding.text} for finding in self.findings],
-            study={"findings": make_plain(self.findings), "verdict": make_plain(self.verdict)},
-        )
-
-    @classmethod
-    def from_json(cls, text: str) -> Study:
-        """Read a stored study, or a stored result as one.
-
-        Raises
-        ------
-        ResultError
-            If the text is not a stored result, or is damaged.
-        """
-        result = IdentificationResult.from_json(text)
-        whole = parse_stored_document(text)
-        if "study" not in whole:
-            return cls(result, result.findings)
-        try:
-            found = tuple(restore_dataclass(Finding, item) for item in whole["study"]["findings"])
-            verdict = whole["study"].get("verdict")
-            verdict = None if verdict is None else restore_dataclass(Verdict, verdict)
-        except (KeyError, TypeError, ValueError, AttributeError) as problem:
-            raise ResultError(
-                f"findings or verdict of the stored result are damaged: {type(problem).__name__}"
-                f" {problem}",
-                cure=Cure("identify again"),
-            ) from problem
-        return cls(result, found, stored_verdict=verdict)
-
-
-def _name_model(joints: Table, error: ModelErrors) -> Table:
-    """Return the errors of joints with whose they are, where the verdict's is of another model."""
-    fitted = format_share(error.as_built)
-    exported = format_share(error.exported)
-    if error.as_built is None or error.exported is None or fitted == exported:
-        return joints
-    whose = f"as fitted {fitted}, as exported (the verdict's) {exported}"
-    return replace(joints, title=f"{joints.title}; {whose}")
 
 
 def identify(
@@ -338,19 +147,8 @@ def identify(
     held_out_findings = report_holdout(
         wanted, prepared, trained, bool(others) or bool(prepared.held_out)
     )
-    concluded = conclude_study(fits, options, cutoffs, held_out_findings)
+    study = conclude_study(fits, options, cutoffs, held_out_findings)
     report("compare", 1.0)
-    study = Study(
-        concluded.result,
-        concluded.findings,
-        prepared.checks,
-        concluded.training,
-        concluded.validations,
-        cutoffs,
-        concluded.attribution,
-        effects=concluded.result.effects,
-        refined=fits.refined,
-    )
     if parts is None or not horizons or not (options.rollout or parts.held_out):
         return study
     report("roll out", 0.0)

@@ -1,17 +1,19 @@
-"""From fits to the result of a study, with its predictions and findings."""
+"""What a study says: result, predictions and findings, and how they follow from fits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import cached_property, reduce
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from asbuilt.arrays import Array
+from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.description.structure.locking import report_locks
-from asbuilt.errors import IdentifiabilityError
+from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.experiment import RecordingCheck
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification import Effects, IdentificationResult
+from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination
 from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import (
@@ -26,13 +28,28 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.feasible import bound_effects
+from asbuilt.identification.result.stored_document import parse_stored_document
+from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.identification.uncertainty.bias import (
     OmittedBias,
     doubt_driving_friction,
     report_position_noise,
 )
-from asbuilt.validation import Attribution, Validation, attribute, recording_name
+from asbuilt.statistics import USUAL_ALPHA
+from asbuilt.tables import Table, format_share
+from asbuilt.validation import (
+    Attribution,
+    Comparison,
+    Rollout,
+    Validation,
+    Verdict,
+    attribute,
+    compare,
+    recording_name,
+    study_verdict,
+)
+from asbuilt.validation.attribution.attribute import can_attribute
 from asbuilt.validation.carried_load import find_carried_load
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
@@ -43,17 +60,26 @@ from asbuilt.validation.generalisation.coverage import (
 )
 from asbuilt.validation.generalisation.generalisation import (
     check_validations,
+    measure_error_shares,
     report_nameless,
     report_unexplained,
 )
-from asbuilt.validation.verdicts.model_errors import with_exported
+from asbuilt.validation.rollout.rollout import tabulate_joint_errors
+from asbuilt.validation.verdicts.model_errors import (
+    ModelErrors,
+    choose_decisive_rollout,
+    with_exported,
+)
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
 from asbuilt.workflow.study_options import StudyOptions
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from asbuilt.identification.result.legs import FootMoments
+    from asbuilt.workflow.refinement import Refined
 
 GAINS_ASSUMED = Finding(
     "gains_assumed",
@@ -64,15 +90,169 @@ GAINS_ASSUMED = Finding(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Conclusion:
-    """Hold the result of fits, its predictions and its findings."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Study:
+    """Hold a result with all that is reported of it.
+
+    Attributes
+    ----------
+    result
+        The identified robot.
+    findings
+        What is wrong, or worth knowing, errors first.
+    checks
+        The checks of the recordings.
+    training
+        Predictions of the training data.
+    validations
+        Predictions of what was held out, then of the other recordings.
+    cutoffs
+        How the cutoff was chosen, if it was swept.
+    attribution
+        Which causes explain the error of CAD; None if the recordings are too short.
+    rollouts
+        Simulations of what was held out and of the other recordings, one per length of windows.
+    refined
+        How the refinement by trajectories went; None without one.
+    stored_verdict
+        The verdict that was stored with a study; None: it follows from the rest.
+
+    A study that is read from a file has the result, the findings and the verdict alone.
+    """
 
     result: IdentificationResult
     findings: tuple[Finding, ...]
-    training: tuple[Validation, ...]
-    validations: tuple[Validation, ...]
-    attribution: Attribution | None
+    checks: tuple[RecordingCheck, ...] = ()
+    training: tuple[Validation, ...] = ()
+    validations: tuple[Validation, ...] = ()
+    cutoffs: CutoffSweep | None = None
+    attribution: Attribution | None = None
+    rollouts: tuple[Rollout, ...] = ()
+    refined: Refined | None = None
+    stored_verdict: Verdict | None = None
+
+    def __repr__(self) -> str:
+        codes = ", ".join(finding.code for finding in self.findings) or "none"
+        return f"<Study: {self.result!r}; findings: {codes}>"
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> Summary:
+        """Summarise result and findings as text, HTML or CSV.
+
+        The errors of the joints are those that decide: of torque, or of simulated motion.
+        """
+        found = summarise(self.result, findings=self.findings, verdict=self.verdict.text)
+        simulated = choose_decisive_rollout(self.rollouts)
+        if self.verdict.measure == "torque" or simulated is None:
+            return replace(found, joints=_name_model(found.joints, self.verdict.error))
+        return replace(found, joints=tabulate_joint_errors(self.result.model, simulated))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters, in the order of every array of them."""
+        return self.result.names
+
+    @property
+    def effects(self) -> tuple[FoundEffect, ...]:
+        """What the recordings show and the description lacks, in the model or named only."""
+        return self.result.effects
+
+    @property
+    def params(self) -> Array:
+        """Estimates of the base parameters, shape (p,)."""
+        return self.result.params
+
+    @property
+    def bse(self) -> Array:
+        """Standard errors of the base parameters, shape (p,)."""
+        return self.result.bse
+
+    @property
+    def tvalues(self) -> Array:
+        """Estimates in standard errors, shape (p,)."""
+        return self.result.tvalues
+
+    def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
+        """Return confidence intervals, shape (p, 2): `IdentificationResult.conf_int`."""
+        return self.result.conf_int(alpha)
+
+    def to_frame(self, alpha: float = USUAL_ALPHA) -> pl.DataFrame:
+        """Return a polars frame with a row per base parameter: `IdentificationResult.to_frame`."""
+        return self.result.to_frame(alpha)
+
+    def predict(self, recording: Any, qd: Any = None, qdd: Any = None) -> Any:
+        """Predict the torque of a recording or of states: `IdentificationResult.predict`."""
+        return self.result.predict(recording, qd, qdd)
+
+    def plot(self, kind: str = "torque", of: Any = None, axes: Any = None) -> Array:
+        """Draw a figure: `IdentificationResult.plot`, of what was held out if anything was.
+
+        A study that was read from a file holds no recording: give one as `of`.
+        """
+        # What was held out, else what was used.
+        shown = (*self.validations, *self.training, None)[0] if of is None else of
+        return self.result.plot(kind, shown, axes)
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """CAD compared with as built."""
+        return compare(self.result, validation=(self.validations or self.training) or None)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether to use the model, in a sentence with its number."""
+        return self.stored_verdict or study_verdict(
+            self.result, self.findings, self.validations, self.rollouts
+        )
+
+    @cached_property
+    def determination(self) -> Determination:
+        """What the recordings determine, and which further motion would help."""
+        return determination(self.result)
+
+    def to_json(self) -> str:
+        """Return result and findings as JSON that `from_json` reads back to the last bit."""
+        return self.result.to_json(
+            warnings=[{"code": finding.code, "message": finding.text} for finding in self.findings],
+            study={"findings": make_plain(self.findings), "verdict": make_plain(self.verdict)},
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> Study:
+        """Read a stored study, or a stored result as one.
+
+        Raises
+        ------
+        ResultError
+            If the text is not a stored result, or is damaged.
+        """
+        result = IdentificationResult.from_json(text)
+        whole = parse_stored_document(text)
+        if "study" not in whole:
+            return cls(result, result.findings)
+        try:
+            found = tuple(restore_dataclass(Finding, item) for item in whole["study"]["findings"])
+            verdict = whole["study"].get("verdict")
+            verdict = None if verdict is None else restore_dataclass(Verdict, verdict)
+        except (KeyError, TypeError, ValueError, AttributeError) as problem:
+            raise ResultError(
+                f"findings or verdict of the stored result are damaged: {type(problem).__name__}"
+                f" {problem}",
+                cure=Cure("identify again"),
+            ) from problem
+        return cls(result, found, stored_verdict=verdict)
+
+
+def _name_model(joints: Table, error: ModelErrors) -> Table:
+    """Return the errors of joints with whose they are, where the verdict's is of another model."""
+    fitted = format_share(error.as_built)
+    exported = format_share(error.exported)
+    if error.as_built is None or error.exported is None or fitted == exported:
+        return joints
+    whose = f"as fitted {fitted}, as exported (the verdict's) {exported}"
+    return replace(joints, title=f"{joints.title}; {whose}")
 
 
 def conclude_study(
@@ -80,7 +260,7 @@ def conclude_study(
     options: StudyOptions,
     cutoffs: CutoffSweep | None,
     further: Sequence[Finding] = (),
-) -> Conclusion:
+) -> Study:
     """Make a result of fits, predict with them, and report findings.
 
     Parameters
@@ -110,7 +290,9 @@ def conclude_study(
     # Bias by effects that are not in the model widens the errors of the result.
     feet = _find_foot_moments(fits)
     of_feet = None if feet is None else feet.omitted(fits.final.information, fits.final.estimate)
-    omitted = _join_biases(_join_biases(fits.final.omitted, _doubt_friction(fits.final)), of_feet)
+    lacking = (fits.final.omitted, _doubt_friction(fits.final), of_feet)
+    biases = [bias for bias in lacking if bias is not None]
+    omitted = reduce(OmittedBias.with_further, biases) if biases else None
     result = fits.final.with_bias(omitted).concluded(
         train=train,
         cad=train_cad if decisive is None else decisive.metrics_cad,
@@ -136,8 +318,7 @@ def conclude_study(
     )
     bounded = bound_effects(result, effects)
     result = result.with_effects(tuple(as_by_encoders(effect, result) for effect in bounded))
-    mixed = fits.model.mixes_joints
-    attribution = None if cause_data is None or mixed else attribute(result)
+    attribution = attribute(result) if can_attribute(result) else None
     if attribution and options.wanted_effects.named:
         result = result.with_effects((*result.effects, *attribution.bodies))
     validations = tuple(
@@ -162,9 +343,7 @@ def conclude_study(
             for check in prepared.checks
             for finding in check.warnings
         ),
-        *report_locks(
-            fits.model.locked_joints, fits.model.held_followers, fits.model.assumed_carriers
-        ),
+        *report_locks(fits.model),
         *report_delays(result, prepared.delay, fits.final.delay_shift),
         *further,
         *_report_validation(fits, train, validations, further),
@@ -181,7 +360,7 @@ def conclude_study(
         *report_cad_verdicts(validations),
         *report_springs(result),
     )
-    if mixed:
+    if fits.model.mixes_joints:
         from asbuilt.identification.result.legs import (  # noqa: PLC0415 - light start
             with_leg_findings,
         )
@@ -194,9 +373,17 @@ def conclude_study(
         finding for finding in findings if (finding.effect, finding.joint) not in modelled
     )
     # What was validated decides which joint's error matters, training only without it.
-    shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
-    return Conclusion(
-        result, consolidate_findings(findings, shares), trained, validations, attribution
+    metrics = (*validations, *trained)[0].metrics_as_built
+    shares = dict(zip(metrics.joint_names, measure_error_shares(metrics).tolist(), strict=True))
+    return Study(
+        result,
+        consolidate_findings(findings, shares),
+        prepared.checks,
+        trained,
+        validations,
+        cutoffs,
+        attribution,
+        refined=fits.refined,
     )
 
 
@@ -216,18 +403,6 @@ def _find_foot_moments(fits: Fits) -> FootMoments | None:
 
     final = fits.final
     return find_foot_moments(fits.model, final.information, final.estimate, fits.samples)
-
-
-def _join_biases(first: OmittedBias | None, second: OmittedBias | None) -> OmittedBias | None:
-    return second if first is None else first.with_further(second)
-
-
-def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:
-    """Return the share of the squared torque error at each joint with a torque channel, by name."""
-    # Exact torques have no error to share.
-    energy = np.nan_to_num(metrics.rms**2)
-    shares = energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
-    return dict(zip(metrics.joint_names, shares.tolist(), strict=True))
 
 
 def _report_validation(
@@ -252,9 +427,12 @@ def _report_model(
 ) -> tuple[Finding, ...]:
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
+    named = options.wanted_effects.named
+    shown = [effect for effect in fits.effects.found if named or EFFECTS[effect.effect].of_log]
     return (
         *report_plateaus(fits.model, fits.plateaus),
-        *_report_effects(fits.effects, options),
+        # Errors of the log are reported even where no effects are wanted.
+        *report_effects(replace(fits.effects, found=tuple(shown))),
         *report_springs_alike(result),
         *([GAINS_ASSUMED] if any(s.torque_source == "current" for s in fits.samples) else []),
         *report_position_noise(
@@ -268,13 +446,6 @@ def _report_model(
         # Without CAD masses there is nothing that could have caused a difference.
         *(report_causes(attribution, fits.model) if fits.model.has_masses else ()),
     )
-
-
-def _report_effects(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
-    """Return what can be done about effects: errors of the log even where none are wanted."""
-    named = options.wanted_effects.named
-    own = [effect for effect in effects.found if named or EFFECTS[effect.effect].of_log]
-    return report_effects(replace(effects, found=tuple(own)))
 
 
 def _merge_metrics(

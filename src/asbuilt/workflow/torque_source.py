@@ -28,7 +28,7 @@ from asbuilt.workflow.prepare import Prepared
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.refined_fit import RefinedFit
     from asbuilt.identification.trajectories.simulated_robot import ServoCoordinates
-    from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
+    from asbuilt.identification.uncertainty.pose_noise import MeanScores
 
 
 class TorqueOrigin:
@@ -38,7 +38,7 @@ class TorqueOrigin:
     """
 
     @property
-    def expected(self) -> ExpectedScores | None:
+    def expected(self) -> MeanScores | None:
         """Scores that its noise lends the parameters."""
         return None
 

@@ -40,8 +40,9 @@ from asbuilt.workflow.prepare import (
     name_held_out,
     prepare,
 )
-from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.study import identify
 from asbuilt.workflow.study_options import AUTOMATIC, StudyOptions, ValidationOptions
+from asbuilt.workflow.study_result import Study
 from asbuilt.workflow.torque_source import drive_as_built, find_asked_torques, require_torque
 
 

@@ -8,18 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from asbuilt.writing import atomic_write, check_writable, file_set
-
-__all__ = [
-    "atomic_write",
-    "check_writable",
-    "data_address",
-    "file_lines",
-    "file_set",
-    "path_texts",
-    "with_files",
-]
-
 
 def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
     """Return the paths of files by kind as text, for documents."""

@@ -25,6 +25,7 @@ from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
 from asbuilt.findings import Finding, Severity
 from asbuilt.validation import Validation, recording_name
 from asbuilt.writers.pictures.skeleton import build_round_mesh
+from asbuilt.writers.pictures.viewer import BODY_COLOURS
 from asbuilt.writing import atomic_write
 
 STATE = "sensor_msgs/msg/JointState"
@@ -64,8 +65,7 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
         for kind in (STATE, LOG)
     }
     for timeline in timelines:
-        name = "".join(c if c.isalnum() else "_" for c in timeline.name)
-        prefix = f"/{name}" if len(timelines) > 1 else ""
+        prefix = f"/{timeline.folder}" if len(timelines) > 1 else ""
         begin = min(timeline.start, 0.0)
         for topic, kind, messages in _list_topics(timeline):
             channel = writer.register_channel(f"{prefix}/{topic}", "cdr", schemas[kind])
@@ -127,8 +127,6 @@ TRACK_COLOURS: dict[str, tuple[int, int, int]] = {
     "threshold": (179, 38, 30),
 }
 """Colours of the report."""
-ROD = (205, 208, 213)
-HOUSING = (226, 122, 32)
 
 
 def write_rrd(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Path:
@@ -148,8 +146,8 @@ def write_rrd(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Pa
         stream = rerun.RecordingStream("asbuilt", recording_id="asbuilt")
         stream.save(file)
         for timeline in timelines:
-            name = "".join(c if c.isalnum() else "_" for c in timeline.name)
-            _write_timeline(rerun, stream, timeline, [name] if len(timelines) > 1 else [])
+            above = [timeline.folder] if len(timelines) > 1 else []
+            _write_timeline(rerun, stream, timeline, above)
         stream.flush()
         stream.disconnect()
         return atomic_write(path, file.read_bytes())
@@ -188,7 +186,7 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
         mesh = rerun.Mesh3D(
             vertex_positions=vertices,
             triangle_indices=faces,
-            albedo_factor=ROD if solid.kind == "rod" else HOUSING,
+            albedo_factor=BODY_COLOURS[solid.kind],
         )
         stream.log([*parent, f"{solid.kind} {number}"], mesh, static=True)
     if not len(timeline.t):
@@ -251,6 +249,11 @@ class Timeline:
     q: Array
     tracks: tuple[Track, ...]
     marks: tuple[Mark, ...] = ()
+
+    @property
+    def folder(self) -> str:
+        """The name in letters and digits, as paths of topics and entities have it."""
+        return "".join(c if c.isalnum() else "_" for c in self.name)
 
     @property
     def start(self) -> float:

@@ -150,6 +150,25 @@ def test_a_log_that_fails_is_listed_and_the_rest_goes_on(logs: list[Path], tmp_p
     assert again.added[0].entry.date.day == 2
 
 
+def test_a_date_without_time_zone_is_utc_wherever_the_computer_is(
+    filled: Path, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    time.tzset()
+    try:
+        undated = tmp_path / "run.csv"
+        undated.write_bytes(logs[0].read_bytes())
+        noon = datetime(2026, 3, 2, 12)
+        done = add(tmp_path / "ledger", [undated], date=noon)
+        assert done.added[0].entry is not None
+        assert done.added[0].entry.date == noon.replace(tzinfo=UTC)
+        entries = open_ledger(filled).entries("R1", datetime(2026, 3, 2), datetime(2026, 3, 4))
+        assert [entry.date.day for entry in entries] == [2, 3]
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
 def test_damaged_and_foreign_files_are_named_and_skipped(logs: list[Path], tmp_path: Path) -> None:
     ledger = tmp_path / "ledger"
     done = add(ledger, logs[:3])

@@ -361,7 +361,7 @@ def test_two_commands_that_begin_at_once_leave_one_set_of_settings(
         told = [each.communicate()[1] for each in started]
         assert sorted(each.returncode for each in started) == [0, 2], told
         assert "the ledger has the drive terms" in "".join(told)
-        (settings,) = open_ledger(str(ledger)).all_settings()
+        (settings,) = open_ledger(str(ledger)).all_settings().values()
         assert open_ledger(str(ledger)).robot_ids() == [str(settings.drive)]
 
 

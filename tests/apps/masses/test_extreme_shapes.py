@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from asbuilt import link_masses
-from asbuilt.apps.masses.cad.solids import look_up_density
+from asbuilt.apps.masses.solids import look_up_density
 from asbuilt.description import bundled_robot, load_robot
 from asbuilt.errors import DescriptionError
 from asbuilt.excitation.collision.capsules import build_surroundings

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.apps.masses import link_from_meshes, read_cad_table
-from asbuilt.apps.masses.cad.solids import MATERIALS, MeshPart, with_cad_links
 from asbuilt.apps.masses.computed_masses import parse_unit_factor
+from asbuilt.apps.masses.solids import MATERIALS, MeshPart, with_cad_links
 from asbuilt.description import LinkInertia, load_robot, placement
 from asbuilt.errors import DescriptionError, MissingExtraError
 from log_cholesky import from_log_cholesky

@@ -127,6 +127,18 @@ def test_columns_that_do_not_go_together_are_refused(
     assert not (tmp_path / "s.toml").exists()
 
 
+def test_a_joint_that_is_locked_by_an_option_has_no_columns(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "log.csv"
+    head = "t,q_joint_1,q_joint_2,tau_joint_1,tau_joint_2"
+    np.savetxt(path, np.column_stack([T, Q, TAU]), delimiter=",", header=head, comments="")
+    assert columns_of(capsys, "two-link", path)["joints"] == ["joint_1", "joint_2"]
+    found = columns_of(capsys, "two-link", path, "--lock", "joint_2")
+    assert found["joints"] == ["joint_1"]
+    assert [each["name"] for each in found["columns"] if each["joint"]] == head.split(",")[1::2]
+
+
 def test_a_log_that_fits_is_shown_whole(capsys: pytest.CaptureFixture[str], log: Path) -> None:
     text = log.read_text().replace("alpha", "joint_1").replace("beta", "joint_2")
     log.write_text(text)

@@ -6,6 +6,7 @@ import ast
 import re
 import tomllib
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -27,7 +28,7 @@ HOSTILE = [
     "\u202eevil", "*\uff0f int y; \uff0f*", "＂; halt", "名前", "\U0001f916", "x" * 10_000,
     "--> <x/>",
     "]]> &lt;", "- a: !!python/object/apply:os.abort []", "a: b #", "=cmd|' /C calc'!A0", "\ud800",
-    "true", "1e5", "~", "", " ", "\t", "' or 1=1", "-", "/*/", "*//*", "\v\f\x85",
+    "true", "1e5", "~", "", " ", "\t", "' or 1=1", "-", "run---1", "/*/", "*//*", "\v\f\x85",
 ]  # fmt: skip
 COMMENTS = {
     ".cpp": r"/\*.*?\*/|//[^\n]*",
@@ -92,6 +93,8 @@ def test_the_code_is_that_of_plain_names(form: str) -> None:
         for file, other in zip(files, plain, strict=True):
             assert re.fullmatch(r"[A-Za-z0-9_.-]{1,90}", file.name), file.name
             suffix = file.name.rpartition(".")[2]
+            if suffix == "xml":
+                ElementTree.fromstring(file.text)
             if suffix == "toml":
                 assert tomllib.loads(file.text)["joints"] == list(model.joint_names)
             elif suffix in ("yaml", "yml"):

@@ -241,3 +241,22 @@ def test_folder_of_a_loop_is_not_overwritten(
     status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path / "none")
     assert status == 2
     assert "holds no loop to resume" in err
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{}", "holds a loop of '', not of two-link"),
+        ('{"robot": "two-link"', "holds no settings of a loop"),
+        ('{"robot": "two-link", "on": "virtual", "motion": null, "programs": [],'
+         ' "options": {"until": "soon"}}', "options.until: TypeError expected a number"),
+    ],
+)  # fmt: skip
+def test_damaged_settings_are_one_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, said: str
+) -> None:
+    (tmp_path / "run.json").write_text(content)
+    status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path)
+    assert status in {1, 2}
+    assert said in err
+    assert "unexpected" not in err

@@ -62,7 +62,8 @@ def in_c(
 def some_thresholds(model: RobotModel) -> Thresholds:
     n, rng = model.n_joints, np.random.default_rng(0)
     parts = rng.uniform(0.1, 1.0, size=(7, n))
-    return Thresholds(model.joint_names, 8.0, 1.0, 1.0, 1.0, 100.0, *parts)
+    shares = np.ones((2, n))
+    return Thresholds(model.joint_names, 8.0, 1.0, 1.0, 1.0, 100.0, *parts, *shares)
 
 
 def check_same(observer: Observer, other: CompiledObserver, log: Any) -> int:

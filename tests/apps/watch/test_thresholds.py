@@ -7,6 +7,7 @@ from asbuilt import set_thresholds
 from asbuilt.apps.watch import Observed
 from asbuilt.apps.watch.causal_filter import largest_velocity_error
 from asbuilt.apps.watch.thresholds import MANY, estimate_levels
+from asbuilt.apps.watch.watching import cut_held_out_parts
 from asbuilt.arrays import Array
 
 HOUR = 3600
@@ -67,6 +68,32 @@ def test_scale_leaves_out_what_residuals_do_not_follow() -> None:
     limit = made.of_log(log, error)[1]  # type: ignore[arg-type]
     assert np.quantile(limit, 0.95) < 2.0 * np.median(limit)
     assert 3.0 < np.median(limit) < 12.0
+
+
+def _log(seconds: float) -> Observed:
+    """Normal residuals of a joint that swings, a hundred a second."""
+    t = np.linspace(0.0, seconds, round(100.0 * seconds) + 1)
+    zeros = np.zeros((len(t), 1))
+    share = np.where(t > 0.0, 0.4, -1.0)
+    residual = np.random.default_rng(3).normal(size=zeros.shape)
+    return Observed(t, share, zeros, np.sin(t)[:, None], zeros, zeros, zeros, residual)
+
+
+@pytest.mark.parametrize("rule", ["blocks:5s:3", "last:0.3"])
+def test_what_is_held_out_of_a_log_is_the_same_in_parts(rule: str) -> None:
+    log = _log(100.0)
+    (whole,) = cut_held_out_parts([log], rule)
+    parts = [log.part(slice(0, 4321)), log.part(slice(4321, None))]
+    found = np.concatenate([part.t for part in cut_held_out_parts(parts, rule)])
+    assert found.tolist() == whole.t.tolist()
+
+
+def test_what_is_left_out_between_held_out_blocks_verifies_no_rate() -> None:
+    """Of 300 s every third block of 5 s is held out: thresholds follow from 100 s."""
+    log, error = _log(300.0), _ErraticError()
+    held_out = cut_held_out_parts([log], "blocks:5s:3")
+    made = set_thresholds(held_out, error, ["joint"], bandwidth=8.0)  # type: ignore[arg-type]
+    assert abs(3600.0 * made.hours - 100.0) < 0.5
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0])

@@ -28,8 +28,9 @@ def test_a_fixed_tendon_of_constant_length_is_a_coupling() -> None:
     np.testing.assert_allclose(robot.link_positions(np.zeros(2))[2], 0.25 - 0.6, atol=1e-12)
 
 
-def test_a_joint_with_an_actuator_does_not_follow() -> None:
-    motors = '<actuator><motor joint="c"/><motor joint="b"/></actuator>'
+@pytest.mark.parametrize("by", ["joint", "jointinparent"])
+def test_a_joint_with_an_actuator_does_not_follow(by: str) -> None:
+    motors = f'<actuator><motor {by}="c"/><motor joint="b"/></actuator>'
     robot = read_mjcf(MJCF.format(CHAIN, '<tendon tendon1="t"/>', motors))
     assert robot.joint_names == ("b", "c")
     np.testing.assert_allclose(robot.link_shares[2], [4, -2])

@@ -164,6 +164,8 @@ def test_the_largest_number_is_no_limit(most):
     limits = frames(limits=(f"-{most}", most)).joints[0].limits
     assert (limits.lower, limits.upper) == (-np.inf, np.inf)
     assert not frames(limits=(f"-{most}", most)).notes
+    one_sided = frames(limits=("-1", most)).joints[0].limits
+    assert (one_sided.lower, one_sided.upper) == (-1.0, np.inf)
 
 
 def test_what_is_not_read_is_named():

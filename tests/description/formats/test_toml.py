@@ -191,11 +191,11 @@ BROKEN = {
     "two com": (link("dh = {}\nmass = 1\ncom = [0, 0]"), r"links\[1\] 'a'\.com"),
     "crossed limits": (
         link("dh = {}\nlimits = { lower = 2, upper = 1 }"),
-        r"limits: lower = 2.0 must not exceed upper = 1.0",
+        r"limits: position limits from 2.0 to 1.0 leave no position",
     ),
     "limits beyond everything": (
         link("dh = {}\nlimits = { upper = -inf }"),
-        r"limits: lower = -inf must not exceed upper = -inf, and neither",
+        r"limits: position limits from -inf to -inf leave no position",
     ),
     "negative limit": (
         link("dh = {}\nlimits = { velocity = -1 }"),
@@ -219,6 +219,10 @@ BROKEN = {
     "unknown parent": (
         link('dh = {}\nparent = "b"'),
         r"parent of link 'a' is 'b'.*known here: root",
+    ),
+    "mimic of itself": (
+        link('dh = {}\njoint = "j"\nmimic = { joint = "j", multiplier = 2 }'),
+        r"joint 'j' mimics itself",
     ),
     "unknown length": (
         link('origin = { xyz = ["L", 0, 0] }'),

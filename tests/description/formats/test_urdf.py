@@ -333,7 +333,11 @@ HOSTILE = {
     ),
     "mimic": (
         two_links(joint=MIMIC),
-        r"joint 'j1': the joint mimics 'other', which does not exist",
+        r"joint 'j1' mimics 'other', which does not exist; the joints are j1",
+    ),
+    "mimic of itself": (
+        two_links(joint=MIMIC.replace("other", "j1")),
+        r"joint 'j1' mimics itself",
     ),
     "crossed limits": (
         two_links().replace('lower="-1"', 'lower="5"'),

@@ -33,6 +33,17 @@ def test_macros_and_properties_become_links(tmp_path: Path) -> None:
     assert robot.links[1].inertia.com[0] == pytest.approx(0.2)
 
 
+def test_a_robot_on_legs_is_expanded_as_well(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    text = ARM.replace('type="continuous"', """type="${'floating' if k == 1 else 'continuous'}\"""")
+    path = tmp_path / "legs.xacro"
+    path.write_text(text)
+    robot = load_robot(path, base="free")
+    assert robot.n_floating == 6
+    assert robot.joint_names[6:] == ("j2",)
+    assert load_robot(path, fixed_base=True).joint_names == ("j2",)
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import RobotModel, bundled_robot
-from asbuilt.description.joint_matching import match_joints
+from asbuilt.description.joint_matching import find_unlabelled_joints, match_joints
 from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, read_recording
 from asbuilt.writers import write_recording
@@ -163,3 +163,9 @@ def test_a_number_is_no_name_of_a_joint_with_another() -> None:
     order, (note,) = match_joints(with_hand, counted.joint_names, source="log", robot="arm")
     assert order == list(range(6))
     assert "left_finger" in note
+
+
+def test_a_name_of_generic_words_alone_is_a_name() -> None:
+    joints = ["shoulder", "axis"]
+    assert find_unlabelled_joints(["axis", "shoulder"], joints) is None
+    assert match_joints(["arm/axis", "shoulder"], joints, source="log", robot="arm")[0] == [1, 0]

@@ -84,7 +84,7 @@ def test_a_finger_that_follows_one_which_moves_is_named(hand: RobotModel, log: P
     arm = coupled.locked(["finger_right"])
     assert arm.held_followers == {"finger_right": "finger_left"}
     assert model_from_document(model_document(arm)).held_followers == arm.held_followers
-    said = {each.code: each for each in report_locks(arm.locked_joints, arm.held_followers)}
+    said = {each.code: each for each in report_locks(arm)}
     assert said["follower_held"].severity == "warning"
     assert "finger_right follows finger_left" in said["follower_held"].message
     assert arm.locked([left.name]).held_followers == {}
@@ -210,7 +210,7 @@ def test_a_missing_joint_that_carries_others_is_a_warning() -> None:
             k = arm.joint_names.index(name)
             columns |= {f"q_{name}": whole.q[:, k], f"tau_{name}": whole.tau[:, k]}
         model, _ = read_fitted_recordings(arm, [[columns]])
-        (finding,) = report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
+        (finding,) = report_locks(model)
         assert finding.severity == severity
         assert missing in finding.message
         stored = model_from_document(model_document(model))

@@ -123,3 +123,13 @@ def test_windows_of_chunks_count_from_the_first_sample_of_a_corrected_clock(tmp_
     chunks = list(stream_recording(log, sheet=sheet, chunk_samples=64))
     np.testing.assert_array_equal(np.concatenate([chunk.t for chunk in chunks]), whole.t)
     assert whole.t[0] == pytest.approx(11.0)
+
+
+@pytest.mark.parametrize("read", [read_recording, lambda log: list(stream_recording(log))])
+def test_files_that_a_sheet_lists_take_the_place_of_the_log(tmp_path, read):
+    rows = "\n".join(f"{0.01 * k},{0.1 * k},{k}" for k in range(50))
+    (tmp_path / "log.csv").write_text(f"t,q_1,tau_1\n{rows}\n")
+    (tmp_path / "other.csv").write_text("t,tau_1\n0.0,1.0\n0.1,2.0\n")
+    (tmp_path / "log.toml").write_text('[files]\ntorque = "other.csv"\n')
+    with pytest.raises(RecordingError, match="no columns for joint positions"):
+        read(tmp_path / "log.csv")

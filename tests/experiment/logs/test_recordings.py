@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,15 @@ def test_pandas_frames_with_a_named_index_of_time_stamps() -> None:
         found = read_recording(source)
         np.testing.assert_allclose(found.t, arrays()["t"], atol=1e-12)
         np.testing.assert_allclose(found.q, arrays()["q"])
+
+
+def test_missing_time_stamps_are_missing() -> None:
+    stamps = [datetime(2026, 1, 1, second=k) for k in range(3)]
+    columns = {"q_1": [0.0, 0.1, 0.2], "tau_1": [1.0, 2.0, 3.0]}
+    recording = read_recording(pl.DataFrame({"t": [stamps[0], None, stamps[2]], **columns}))
+    np.testing.assert_array_equal(recording.t, [0.0, np.nan, 2.0])
+    t = np.array(stamps, dtype="datetime64[us]")
+    np.testing.assert_array_equal(read_recording({"t": t, **columns}).t, [0.0, 1.0, 2.0])
 
 
 def test_one_or_many_of_any_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

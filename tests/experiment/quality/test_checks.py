@@ -208,6 +208,20 @@ def test_units(iiwa: RobotModel, clean: Recording) -> None:
     assert (cure.settings, cure.call) == ({"torque_source": "current"}, "find_gains")
 
 
+def test_a_joint_at_rest_does_not_hide_the_unit_of_velocities(
+    iiwa: RobotModel, clean: Recording
+) -> None:
+    """The derivative of a joint at rest is noise, which no velocity follows."""
+    assert clean.qd is not None
+    noise = np.random.default_rng(1).normal(size=(2, clean.n_samples))
+    q = np.array(clean.q)
+    qd = 60.0 / (2.0 * np.pi) * clean.qd
+    q[:, 0] = 1e-5 * noise[0]
+    qd[:, 0] = 1e-3 * noise[1]
+    unit = finding(iiwa, replace(clean, q=q, qd=qd), "velocity_units")
+    assert unit.cure.sheet == {"units": {"velocity": "rpm"}}
+
+
 def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) -> None:
     check = check_recording(iiwa, replace(clean, q=np.degrees(clean.q), qd=None, tau=-clean.tau))
     assert [item.code for item in check.errors] == ["degrees", "torque_flipped"]

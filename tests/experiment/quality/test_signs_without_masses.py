@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from asbuilt.description import RobotModel, load_robot
-from asbuilt.experiment import Recording, check_recording, read_recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, check_recording, read_recording, simulate_recording
 
 UR10E = """
 header = false
@@ -72,3 +73,22 @@ def test_a_single_turned_joint_is_named(shared: Path, tmp_path: Path) -> None:
     (said,) = [each for each in found.findings if each.code == "joint_torque_flipped"]
     assert said.joint == "joint_5"
     assert "-1" in str(said.cure)
+
+
+def test_a_sign_that_was_flipped_is_flipped_back() -> None:
+    robot = load_robot("two-link")
+    motion = random_fourier(robot, rng=3, duration=20.0, n_harmonics=5)
+    log = simulate_recording(robot, motion, rate=100.0)
+    assert log.qd is not None
+    kinematics = robot.with_parameters(np.zeros(10 * robot.n_links))
+    braked = replace(log, tau=np.sign(log.qd) + 0.2 * log.qd)
+    for turned, said in (
+        (replace(braked, tau=-braked.tau), "flip the torque sign, or"),
+        (braked.flipped(), "flip the torque sign back"),
+    ):
+        found = check_recording(kinematics, turned)
+        (flipped,) = [f for f in found.findings if f.code == "torque_flipped"]
+        assert said in str(flipped.cure)
+    stated = check_recording(kinematics, replace(braked.flipped(), stated=frozenset({"sign"})))
+    (flipped,) = [f for f in stated.findings if f.code == "torque_flipped"]
+    assert flipped.severity == "warning"

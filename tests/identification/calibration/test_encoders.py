@@ -18,7 +18,7 @@ from asbuilt.dynamics import gravity_torque, inverse_dynamics, mass_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording, read_recording
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.identification.calibration.encoders import identify_encoders
 from asbuilt.identification.effects.families.elastic import OFF, rigid_limit
 from asbuilt.workflow import Study

@@ -151,22 +151,21 @@ def test_the_bias_that_two_results_share_is_no_error_of_their_difference() -> No
         for fit in (fitted(data),)
     ]
     one, two = ComparedValues.own(pair[0]), ComparedValues.own(pair[1])
-    places = list(range(len(one.estimates)))
-    between = Between(one, two, places, places)
+    between = Between(one, two)
     alone = np.hypot(one.std_errors, two.std_errors)
     plain = [
         ComparedValues.own(identify_samples(MODEL, data, drive=FITTED))
         for data in (samples(1), samples(2))
     ]
-    scatter = Between(*plain, places, places).std_errors
+    scatter = Between(*plain).std_errors
     biased = alone > 3.0 * scatter
     assert np.sum(biased) >= 3
     assert np.all(between.std_errors[biased] < 0.5 * alone[biased])
     assert np.all(between.std_errors > 0.99 * scatter)
-    swapped = Between(two, one, places, places)
+    swapped = Between(two, one)
     np.testing.assert_allclose(swapped.std_errors, between.std_errors, rtol=1e-12)
-    test = between.test(np.ones(len(places), dtype=np.bool_))
+    test = between.test(np.ones(len(one.estimates), dtype=np.bool_))
     assert 0.001 < test.probability < 0.999
-    assert test.degrees == len(places)
+    assert test.degrees == len(one.estimates)
     narrow = between.std_errors / widening(between.degrees_of_freedom)
     np.testing.assert_allclose(np.sqrt(np.diag(between.covariance)), narrow, rtol=1e-6)

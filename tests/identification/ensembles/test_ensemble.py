@@ -87,7 +87,7 @@ def test_the_friction_of_a_joint_follows_the_stiffness_of_its_servo() -> None:
     result = servo_result(shared=False, relative=0.2)
     ensemble = draw_ensemble(result, 400, rng=0)
     place = [ensemble.names.index(name) for name in ("Fc1", "Fc2")]
-    found = np.corrcoef(ensemble.table[:, place].T, ensemble.gains.kp.T)[:2, 2:]
+    found = np.corrcoef(ensemble.table[:, place].T, ensemble.gains.table[:, :2].T)[:2, 2:]
     np.testing.assert_allclose(found, np.eye(2), atol=0.15)
 
 
@@ -95,15 +95,15 @@ def test_a_shared_stiffness_scales_the_whole_robot() -> None:
     result = servo_result(shared=True, relative=0.2)
     table = draw_ensemble(result, 400, rng=0)
     assert result.servo is not None
-    factors = table.gains.kp / np.array(result.servo.kp)
+    factors = table.gains.table[:, :2] / np.array(result.servo.kp)
     np.testing.assert_allclose(factors[:, 0], factors[:, 1], rtol=1e-12)
     assert np.std(np.log(factors[:, 0])) == pytest.approx(0.2, rel=0.15)
     places = [result.base.names.index(f"Fc{k}") for k in (1, 2)]
     friction = (table.parameters @ result.base.regrouping.T)[:, places]
     for column in friction.T:
         assert np.corrcoef(column, factors[:, 0])[0, 1] > 0.98
-    assert np.std(table.gains.delay) == pytest.approx(5e-4, rel=0.2)
-    assert table.gains.law(7).kp == tuple(table.gains.kp[7])  # type: ignore[union-attr]
+    assert np.std(table.gains.table[:, -1]) == pytest.approx(5e-4, rel=0.2)
+    assert table.gains.law(7).kp == tuple(table.gains.table[7, :2])  # type: ignore[union-attr]
 
 
 def test_no_robots_are_refused(result: IdentificationResult) -> None:

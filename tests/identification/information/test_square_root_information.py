@@ -34,7 +34,7 @@ from asbuilt.identification.information import rows as rows_module
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.rows import KeptRows, divide_into_blocks
 from asbuilt.identification.information.square_root_information import MOST_BLOCKS, accumulate
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
+from asbuilt.identification.uncertainty.pose_noise import MeanScores
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -469,7 +469,7 @@ def test_expected_scores_are_taken_from_the_torque(robot):
         R = factor[:-1, :-1]
         means.append(R.T @ R @ rng.normal(size=support.size) / information.n_samples)
     names = tuple(tuple(base.names[j] for j in support) for support in information.support)
-    less = ExpectedScores(names, tuple(means)).torques(information)
+    less = MeanScores(names, tuple(means)).torques(information)
     changed = information.less(less)
     for k, mean in enumerate(means):
         before, after = (each.joint_factors[k] for each in (information, changed))

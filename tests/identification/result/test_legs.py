@@ -14,7 +14,7 @@ from asbuilt.description import load_robot
 from asbuilt.experiment import check_recording, prepare_samples, read_recording
 from asbuilt.identification import known_information
 from asbuilt.identification.result.determination import (
-    LIMITS,
+    FURTHER_SECONDS,
     error_ratios,
     sample_information,
     weak_parameters,
@@ -45,7 +45,7 @@ def test_the_gain_of_a_further_motion_is_predicted() -> None:
     extra = sample_information(first, states.q, states.qd, states.qdd, reactions)
     weak = weak_parameters(first)
     (expected,) = error_ratios(
-        first, known_information(first), weak, [extra * fall["t"].size / 500.0 / LIMITS.seconds]
+        first, known_information(first), weak, [extra * fall["t"].size / 500.0 / FURTHER_SECONDS]
     )
     found = np.median((both.std_errors / first.std_errors)[weak])
     assert found < 0.2

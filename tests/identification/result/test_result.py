@@ -36,6 +36,7 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.torque_prediction import set_link_parameters
+from asbuilt.identification.uncertainty.block_scatter import BlockScatter
 from asbuilt.statistics import confidence_intervals
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -489,6 +490,17 @@ def test_a_statistician_reads_the_result(arm):
     assert frame["name"].to_list() == list(result.names)
     assert frame["lower"].to_numpy() == pytest.approx(result.conf_int(0.1)[:, 0], nan_ok=True)
     assert frame.height == result.n_base
+
+
+def test_intervals_count_few_time_blocks_once(arm):
+    """Standard errors are widened by t / 1.96 of 97.5 %; an interval of 90 % needs t of 95 %."""
+    plain = invented(arm)
+    scatter = BlockScatter(np.ones((9, plain.n_base)), np.full(plain.n_base, 5.0))
+    result = replace(plain, scatter=scatter)
+    half = np.ptp(result.conf_int(), axis=1) / 2.0
+    np.testing.assert_allclose(half, 1.959964 * result.bse, rtol=1e-6)
+    half = np.ptp(result.conf_int(0.1), axis=1) / 2.0
+    np.testing.assert_allclose(half, 1.959964 * 2.015048 / 2.570582 * result.bse, rtol=1e-6)
 
 
 def test_a_result_predicts_states_and_samples(arm):

@@ -271,6 +271,24 @@ def test_every_described_number_is_claimed():
     assert np.isnan(parameter_values(model, drive)[-1]) == np.isnan(damping[1].claimed)
 
 
+def test_gains_of_a_sliding_joint_are_forces_by_lengths():
+    model = load_robot("scara")
+    gains = dataclasses.replace(model.joints[0].drive, kp=100.0, kd=2.0)
+    joints = tuple(dataclasses.replace(joint, drive=gains) for joint in model.joints)
+    motion = random_fourier(model, 3, duration=20.0, n_harmonics=8)
+    found = review(
+        dataclasses.replace(model, joints=joints), simulate_recording(model, motion, rng=1)
+    )
+    units = {
+        joint.name: (found.of("kp", joint.name).unit, found.of("kv", joint.name).unit)
+        for joint in joints
+    }
+    assert {units[joint.name] for joint in joints if joint.is_revolute} == {
+        ("N m/rad", "N m s/rad")
+    }
+    assert {units[joint.name] for joint in joints if not joint.is_revolute} == {("N/m", "N s/m")}
+
+
 def test_rollouts_have_no_place_in_a_review():
     with pytest.raises(UsageError, match="rollouts"):
         review("two-link", "log.csv", options=StudyOptions(rollout=(0.5,)))

@@ -18,10 +18,12 @@ from asbuilt.identification.trajectories.simulated_robot import (
     build_robot_as_described,
 )
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
-from asbuilt.validation import rollout_findings
+from asbuilt.validation import Rollout, rollout_findings
 from asbuilt.validation.rollout.position_errors import (
+    OutlyingWindow,
     delay_command,
     find_outlying_windows,
+    joint_unit,
     measure_rollout_errors,
     pair_repeated_windows,
 )
@@ -203,6 +205,29 @@ def test_a_window_under_contact_is_named(windows: Windows) -> None:
     found, usual = find_outlying_windows([windows], [touched], windows_names())
     assert [(each.start, each.joint) for each in found] == [(3.5, "joint_2")]
     assert usual[0].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11]
+
+
+def test_errors_of_sliding_joints_are_said_in_their_unit() -> None:
+    model = bundled_robot("scara")
+    slide = next(joint for joint in model.joints if not joint.is_revolute)
+    measured = np.zeros((2, 3, 4))
+    errors = measure_rollout_errors(model, [np.arange(3.0)], [measured], [measured + 0.02])
+    errors = replace(errors, unit=joint_unit([slide]))
+    found = Rollout(
+        horizon=0.5,
+        driven_by="command",
+        motions=(),
+        cad=None,
+        as_built=errors,
+        floor=None,
+        no_physics=replace(errors, rms_all=0.01),
+        by_recording=(),
+        outlying=(OutlyingWindow("a.csv", 1.0, 0.1, slide.name),),
+        regular=replace(errors, rms_all=0.015),
+    )
+    worse, outlying = (finding.message for finding in rollout_findings([found]))
+    assert "(10 against 20 mm)" in worse
+    assert "Without them it is 15 mm instead of 20 mm" in outlying
 
 
 def windows_names() -> tuple[str, ...]:

@@ -81,7 +81,7 @@ def test_own_reader_gives_the_robot_back(tmp_path: Path) -> None:
 
 
 def test_hostile_names_and_notes_stay_text(example: Any) -> None:
-    check_reloads(replace(as_if_identified(example.model, 1), notes=("a --> b --",)))
+    check_reloads(replace(as_if_identified(example.model, 1), notes=("a ---> b --",)))
 
 
 def test_impossible_models_are_refused() -> None:

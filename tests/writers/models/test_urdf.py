@@ -74,7 +74,7 @@ def test_descriptions_of_strangers_written_afresh(shared: Path) -> None:
 
 def test_hostile_names_and_notes_stay_text(example: Any) -> None:
     model = as_if_identified(example.model, 1)
-    model = replace(model, notes=("a -- b --> <link name='x'/>---",))
+    model = replace(model, notes=("a -- b --> <link name='x'/>---", "c ---> d -----> -"))
     text = format_urdf(model)
     assert fromstring(text).get("name") == model.name
     read = check_reloads(model)

@@ -139,6 +139,14 @@ def test_small_arm_with_every_habit(tmp_path: Path) -> None:
     assert without_inertials_and_dynamics(content) == stripped
 
 
+def test_remarks_end_no_comment(tmp_path: Path) -> None:
+    path = arm_file(tmp_path)
+    model = as_if_identified(read_urdf(path), 2)
+    content, _ = edit_urdf(path, model, remarks=("a ---> <b/>", "c --"))
+    assert b"<!-- a - - -> <b/> -->" in content
+    check_reloads(content, model, tolerance=1e-9)
+
+
 def test_utf_16_stays_utf_16(tmp_path: Path) -> None:
     text = ARM.replace("ISO-8859-1", "UTF-16")
     path = arm_file(tmp_path, text, "utf-16")

@@ -24,12 +24,13 @@ from virtual_causes import identified
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "line", "circle", "path"}
 SECTION = """
+from asbuilt.writers.reports.page import paragraph_markup
 from asbuilt.writers.reports.report import Section, sections
 
-def context(report):
-    return {"robot": report.study.result.robot, "text": "<b>escaped</b>"}
+def parts(report):
+    return [paragraph_markup(f"{report.study.result.robot}: <b>escaped</b>")]
 
-sections.register("outside", Section("From outside", 65, "<p>{{ robot }}: {{ text }}</p>", context))
+sections.register("outside", Section("From outside", 65, parts))
 """
 
 

@@ -170,7 +170,7 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
-    seen = asbuilt.fleet_overview(asbuilt.open_ledger(ledger), thorough=thorough)
+    seen = asbuilt.fleet_overview(ledger, thorough=thorough)
     answer(as_json, seen.as_document, lambda: app.overview_text(seen, describe_cure, full=full))
 
 
@@ -191,7 +191,7 @@ def identify(
     drive terms.
     """
     study = asbuilt.fleet_identify(
-        asbuilt.open_ledger(ledger),
+        ledger,
         id,
         since=_parse_date(since),
         until=_parse_date(until),
@@ -247,11 +247,9 @@ def drift(
 
     Natural variation from day to day is estimated from all robots of a type.
     """
-    opened = asbuilt.open_ledger(ledger)
-
     with show_progress() as report:
         found = asbuilt.fleet_drift(
-            opened, since=_parse_date(since), options=options, progress=report
+            ledger, since=_parse_date(since), options=options, progress=report
         )
     answer(as_json, found.as_document, lambda: app.drift_text(found, describe_cure, full=full))
 
@@ -269,11 +267,9 @@ def report(
 
     The page needs no server and no network.
     """
-    opened = asbuilt.open_ledger(ledger)
-
     with show_progress() as tell:
         found = asbuilt.fleet_drift(
-            opened, since=_parse_date(since), options=options, progress=tell
+            ledger, since=_parse_date(since), options=options, progress=tell
         )
     files = {"report": asbuilt.write_fleet_report(out / "fleet.html", found)}
     answer(

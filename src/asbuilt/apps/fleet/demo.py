@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -27,8 +27,7 @@ from asbuilt.apps.fleet.report import addition_document, describe_drift_outcome
 from asbuilt.description import bundled_robot
 from asbuilt.tables import Column, Table, wrap_text
 from asbuilt.validation import Drift, compare_results
-
-Progress = Callable[[str, float], None]
+from asbuilt.workflow import Progress
 
 ROBOT = "ur10e"
 ROBOTS = range(1, 11)
@@ -162,9 +161,9 @@ def describe_demo(demo: FleetDemo) -> str:
         "",
         wrap_text(describe_drift_outcome(demo.drift)),
         *(
-            wrap_text(f"{each.id}, from {(each.when or '')[:10]}: {change.text}")
-            for each in demo.drift.changed
-            for change in each.what
+            wrap_text(f"{robot.id}, from {(robot.when or '')[:10]}: {change.text}")
+            for robot in demo.drift.changed
+            for change in robot.what
         ),
         "",
         f"logs    {demo.logs}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -80,7 +80,7 @@ def fleet_identify(
     IdentifiabilityError
         If it has no sound log in these dates, or the logs do not suffice.
     """
-    opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
+    opened = open_ledger(ledger)
     entries = opened.entries(robot_id, since, until)
     if not entries:
         raise _make_missing_error(opened, robot_id, since, until)
@@ -116,22 +116,21 @@ def identify_entries(
     information = join_entries(entries, MOST_BLOCKS)
     design = design_values(settings.model, settings.base)
     data = EstimationData(settings.model, information, None, design, options.undetermined)
-    estimate = None
+    estimate = uncertainty = None
     findings = tuple[Finding, ...]()
     if prior is not None:
         estimate, findings = estimate_with_siblings(first.robot_id, information, prior)
-    if estimate is None:
+        if estimate is not None:
+            uncertainty = derive_posterior_uncertainty(information, estimate, prior)
+    if estimate is None or uncertainty is None:
         estimate = methods.find(options.method).estimate(data)
+        uncertainty = estimate_block_uncertainty(estimate.information or information, estimate)
     return conclude(
         settings.model,
         information,
         estimate,
         rate=first.rate,
-        uncertainty=(
-            derive_posterior_uncertainty(information, estimate, prior)
-            if prior is not None and estimate.method == SIBLINGS
-            else estimate_block_uncertainty(estimate.information or information, estimate)
-        ),
+        uncertainty=uncertainty,
         provenance=(
             f"{len(entries)} logs of {first.robot_id} from {first.date:%Y-%m-%d} to"
             f" {last.date:%Y-%m-%d}, kept as information in a ledger",
@@ -234,7 +233,9 @@ def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry])
     settings = entries[0].settings
     types = ledger.types()
     found: dict[str, SquareRootInformation] = {}
-    for other in (each for each in ledger.robot_ids() if each != robot_id):
+    for other in ledger.robot_ids():
+        if other == robot_id:
+            continue
         logs = [
             entry
             for entry in ledger.entries(other, types=types)
@@ -267,25 +268,22 @@ def estimate_prior(
     data = EstimationData(model, parts[0].merge(*parts[1:]), None, toward, "toward_prior")
     pooled = methods.find("consistent").estimate(data)
     fits = [fit_least_squares(part, weights="joint", prior=pooled.beta) for part in parts]
-    effect = float(
-        np.median(
-            [_estimate_design_effect(part, fit) for part, fit in zip(parts, fits, strict=True)]
-        )
-    )
+    effect = float(np.median(list(map(_estimate_design_effect, parts, fits))))
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
     estimates = np.array([fit.beta for fit in fits])
     m = len(fits)
-    rows = [part.stacked(fit.weights) / np.sqrt(effect)
-            for part, fit in zip(parts, fits, strict=True)]  # fmt: skip
+    rows = [
+        part.stacked(fit.weights) / np.sqrt(effect) for part, fit in zip(parts, fits, strict=True)
+    ]
     mu = estimates.mean(axis=0)
     for _ in range(SIBLING_PASSES):
         mu = _fit_mean(pooled, rows, _estimate_spread(estimates - mu, noise))
     T = _estimate_spread(estimates - mu, noise)
     T *= (1.0 + 1.0 / m) * float(widening(np.array(m - 1.0))) ** 2
     weights = np.median([fit.weights for fit in fits], axis=0)
-    plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
-    squares = [_measure_distance(plain, part)[0] for part in parts]
-    return SiblingPrior(tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares))))
+    prior = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
+    squares = [_measure_distance(prior, part)[0] for part in parts]
+    return replace(prior, dispersion=max(1.0, float(np.mean(squares))))
 
 
 def _estimate_spread(deviations: Array, noise: Array) -> Array:

@@ -14,7 +14,7 @@ from asbuilt.apps.fleet.ledger.entry import Entry
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.apps.fleet.ledger.settings import TypeSettings
 from asbuilt.errors import AsbuiltError
-from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.findings import Cure, Finding, list_warnings, rank_findings
 from asbuilt.identification import (
     design_values,
     fit_least_squares,
@@ -32,7 +32,7 @@ LATEST = 12
 def report_suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
     """Return findings about a robot's latest entries."""
     latest = ledger.current_names(robot_id)[-LATEST:]
-    sound = [entry for entry in (ledger.read(*each) for each in latest) if entry is not None]
+    sound = [entry for entry in (ledger.read(*name) for name in latest) if entry is not None]
     types = {entry.settings.robot_type for entry in sound}
     if len(types) > 1:
         return [
@@ -51,7 +51,7 @@ def _report_overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     stamped = [entry for entry in entries if entry.date_from == "stamps"]
     overlaps = (
         (earlier, later, (earlier.date - later.date).total_seconds() + earlier.duration)
-        for earlier, later in pairwise(sorted(stamped, key=lambda each: each.date))
+        for earlier, later in pairwise(sorted(stamped, key=lambda entry: entry.date))
     )
     return [
         Finding(
@@ -75,7 +75,7 @@ def _report_jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     found = []
     while len(rest) > 1:
         ratios = [
-            measure_misfit(entry, [each for each in rest if each is not entry]) for entry in rest
+            measure_misfit(entry, [other for other in rest if other is not entry]) for entry in rest
         ]
         worst = len(rest) - 1 if len(rest) == 2 else int(np.argmax(ratios))
         if ratios[worst] <= UNLIKE_OTHERS:
@@ -158,22 +158,20 @@ class Overview:
             "robots": [asdict(robot) for robot in self.robots],
             "types": [
                 {
-                    "type": each.robot_type,
-                    "robot": each.model.name,
-                    "settings": each.digest,
-                    "generation": each.generation,
-                    "joints": list(each.model.joint_names),
-                    "drive": str(each.drive),
-                    "cutoff": each.chain.cutoff,
-                    "torque_source": each.torque_source,
-                    "n_base": each.base.n_base,
-                    "chosen": list(each.chosen),
+                    "type": settings.robot_type,
+                    "robot": settings.model.name,
+                    "settings": settings.digest,
+                    "generation": settings.generation,
+                    "joints": list(settings.model.joint_names),
+                    "drive": str(settings.drive),
+                    "cutoff": settings.chain.cutoff,
+                    "torque_source": settings.torque_source,
+                    "n_base": settings.base.n_base,
+                    "chosen": list(settings.chosen),
                 }
-                for each in self.types
+                for settings in self.types
             ],
-            "warnings": [
-                {"code": finding.code, "message": finding.text} for finding in self.findings
-            ],
+            "warnings": list_warnings(self.findings),
             "findings": [finding.as_dict() for finding in self.findings],
         }
 
@@ -193,7 +191,7 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
     UsageError
         If there is no ledger.
     """
-    opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
+    opened = open_ledger(ledger)
     types = opened.types()
     rows = []
     findings = []

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from asbuilt.apps.fleet.drift.drift import FleetDrift, RobotDrift, TypeVariation
 from asbuilt.apps.fleet.overview import Overview
 from asbuilt.apps.fleet.reduction.add import Addition
-from asbuilt.findings import Cure, list_findings
+from asbuilt.findings import Cure, list_findings, list_warnings
 from asbuilt.tables import Column, Table, format_share, wrap_text
 from asbuilt.validation import format_probability
 from asbuilt.writers import (
@@ -62,15 +62,9 @@ def write_fleet_report(path: str | os.PathLike[str], drift: FleetDrift) -> Path:
 def render_fleet(drift: FleetDrift) -> str:
     """Return the page as text."""
     order = sorted(
-        drift.robots,
-        key=lambda each: (
-            not each.changed,
-            each.false_discovery or 1.0,
-            -(each.distances or (0.0,))[-1],
-            each.id,
-        ),
+        drift.robots, key=lambda robot: (robot.rank, -(robot.distances or (0.0,))[-1], robot.id)
     )
-    rows = [_build_row(each) for each in order]
+    rows = list(map(_build_row, order))
     changes = section_markup(CHANGES, {"verdict": describe_drift_outcome(drift), "rows": rows})
     return render_page(
         "Fleet",
@@ -210,11 +204,11 @@ MOST_CHANGED = 12
 CHANGED = (
     Column("robot", of="id"),
     Column("logs", align="right", of="n_logs"),
-    Column("changed on", of=lambda each: (each.when or "")[:10]),
+    Column("changed on", of=lambda robot: (robot.when or "")[:10]),
     Column(
         "p",
         align="right",
-        of=lambda each: "" if each.p_value is None else format_probability(each.p_value),
+        of=lambda robot: "" if robot.p_value is None else format_probability(robot.p_value),
     ),
 )
 
@@ -223,30 +217,30 @@ def addition_document(done: Addition) -> dict[str, Any]:
     """Return what `asbuilt fleet add --json` prints."""
     return {
         "ledger": done.ledger,
-        "added": [each.log for each in done.added],
-        "skipped": [each.log for each in done.skipped],
+        "added": [report.log for report in done.added],
+        "skipped": [report.log for report in done.skipped],
         "failed": [
             {
-                "log": each.log,
-                "id": each.robot_id,
-                "why": each.problem,
-                "hint": None if each.cure is None else str(each.cure),
+                "log": report.log,
+                "id": report.robot_id,
+                "why": report.problem,
+                "hint": None if report.cure is None else str(report.cure),
             }
-            for each in done.failed
+            for report in done.failed
         ],
         "seconds": done.seconds,
-        "n_samples": sum(each.n_samples for each in done.added),
-        "recorded_seconds": sum(each.seconds for each in done.added),
+        "n_samples": sum(report.n_samples for report in done.added),
+        "recorded_seconds": sum(report.seconds for report in done.added),
         "entries": [
-            {"log": each.log, "id": each.robot_id, "file": each.entry.path}
-            for each in (*done.added, *done.skipped)
-            if each.entry is not None
+            {"log": report.log, "id": report.robot_id, "file": report.entry.path}
+            for report in (*done.added, *done.skipped)
+            if report.entry is not None
         ],
         "types": [
             {"type": setting.robot_type, "settings": setting.digest} for setting in done.settings
         ],
         "dashboard": done.dashboard,
-        "warnings": [{"code": finding.code, "message": finding.text} for finding in done.findings],
+        "warnings": list_warnings(done.findings),
         "findings": [finding.as_dict() for finding in done.findings],
     }
 
@@ -258,18 +252,18 @@ def addition_text(
     full: bool = False,
 ) -> str:
     """Return what `asbuilt fleet add` prints."""
-    robots = {each.robot_id for each in (*done.added, *done.skipped)}
-    hours = sum(each.seconds for each in done.added) / 3600.0
+    robots = {report.robot_id for report in (*done.added, *done.skipped)}
+    hours = sum(report.seconds for report in done.added) / 3600.0
     lines = [
         f"{done.ledger}: {_word_count(done.added, 'log')} added, {len(done.skipped)} skipped (in"
         f" the ledger already), {len(done.failed)} failed",
         f"{_word_count(robots, 'robot')}, {hours:.3g} h recorded, {done.seconds:.3g} s taken",
         *([f"dashboard of the cluster: {done.dashboard}"] if done.dashboard else []),
     ]
-    for each in done.failed if full else done.failed[:MOST]:
-        cure = f"; {cure_text(each.cure)}" if each.cure else ""
-        why = each.problem or ""
-        name = "" if each.log in why else f"{each.log}: "
+    for report in done.failed if full else done.failed[:MOST]:
+        cure = f"; {cure_text(report.cure)}" if report.cure else ""
+        why = report.problem or ""
+        name = "" if report.log in why else f"{report.log}: "
         lines.append(wrap_text(f"FAILED {name}{why}{cure}"))
     lines += _count_hidden(done.failed, full, "failed logs")
     return "\n".join([*lines, *_set_off(list_findings(done.findings, cure_text, full=full))]) + "\n"
@@ -279,14 +273,14 @@ def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: boo
     """Return what `asbuilt fleet show` prints."""
     logs = sum(robot.n_logs for robot in seen.robots)
     lines = [f"{seen.ledger}: {_word_count(seen.robots, 'robot')}, {logs} logs", ""]
-    names = {each.robot_type: each.model.name for each in seen.types}
+    names = {settings.robot_type: settings.model.name for settings in seen.types}
     heads = [
         Column("robot", of="id"),
-        Column("type", of=lambda each: names[each.robot_type]),
+        Column("type", of=lambda robot: names[robot.robot_type]),
         Column("logs", of="n_logs"),
-        Column("first", of=lambda each: each.first[:10]),
-        Column("last", of=lambda each: each.last[:10]),
-        Column("recorded", "h", "decimal", of=lambda each: (each.seconds or 0.0) / 3600.0),
+        Column("first", of=lambda robot: robot.first[:10]),
+        Column("last", of=lambda robot: robot.last[:10]),
+        Column("recorded", "h", "decimal", of=lambda robot: (robot.seconds or 0.0) / 3600.0),
     ]
     if all(robot.seconds is None for robot in seen.robots):
         heads.pop()
@@ -294,12 +288,12 @@ def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: boo
         shown = seen.robots if full else seen.robots[: 2 * MOST]
         lines.append(Table.of(shown, heads).as_text(full).rstrip())
     lines += _count_hidden(seen.robots, full, "robots", 2 * MOST)
-    for each in seen.types:
+    for settings in seen.types:
         lines += [
             "",
-            f"{each.model.name}: {each.base.n_base} base parameters, torque from"
-            f" {each.torque_source}",
-            wrap_text(f"fixed: {each.chosen[0]}"),
+            f"{settings.model.name}: {settings.base.n_base} base parameters, torque from"
+            f" {settings.torque_source}",
+            wrap_text(f"fixed: {settings.chosen[0]}"),
         ]
     return "\n".join([*lines, *_set_off(list_findings(seen.findings, cure_text, full=full))]) + "\n"
 
@@ -322,7 +316,7 @@ def drift_text(drift: FleetDrift, cure_text: Callable[[Cure], str], *, full: boo
     if changed:
         lines += ["", Table.of(changed, CHANGED).as_text(full).rstrip(), ""]
         lines += [
-            wrap_text(f"{each.id}: {effect.text}") for each in changed for effect in each.what
+            wrap_text(f"{robot.id}: {effect.text}") for robot in changed for effect in robot.what
         ]
     lines += _count_hidden(drift.changed, full, "robots", MOST_CHANGED)
     for kind in drift.types:

@@ -11,14 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.apps.masses.cad.solids import (
-    LENGTH,
-    CadLink,
-    GeometryKind,
-    LinkSolid,
-    look_up_density,
-    read_solids,
-)
 from asbuilt.apps.masses.mass_findings import (
     LinkMass,
     check_described_mass,
@@ -26,11 +18,18 @@ from asbuilt.apps.masses.mass_findings import (
     has_plausible_size,
     sort_by_plausibility,
 )
+from asbuilt.apps.masses.solids import (
+    LENGTH,
+    CadLink,
+    GeometryKind,
+    LinkSolid,
+    look_up_density,
+    read_solids,
+)
 from asbuilt.arrays import Array
 from asbuilt.description import (
     Link,
     LinkInertia,
-    Plausibility,
     RobotModel,
     add_plausibility,
     close_match,
@@ -78,7 +77,6 @@ def link_masses(
     about: Literal["com", "origin"] | None = None,
     products: Literal["tensor", "integral"] | None = None,
     prefer: GeometryKind = "visual",
-    thresholds: Plausibility | None = None,
 ) -> LinkMasses:
     """Compute the mass properties of links and compare them with the description's.
 
@@ -100,8 +98,6 @@ def link_masses(
         as entries of the "tensor" or as the plain "integral" of x y dm.
     prefer
         Geometry that counts where a link has both.
-    thresholds
-        Limits of what is plausible.
 
     Returns
     -------
@@ -124,7 +120,6 @@ def link_masses(
     ...
     asbuilt.errors.DescriptionError: two-link does not come from a URDF file, so it has no ...
     """
-    limits = thresholds or Plausibility()
     if table is not None:
         if density is not None or material is not None or meshes is not None:
             raise UsageError("a table has masses already; leave meshes, density and material out")
@@ -140,7 +135,7 @@ def link_masses(
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
         links, findings = _weigh_solids(model, solids, _read_materials(model, density, material))
-    findings += [found for link in links for found in check_described_mass(link, limits)]
+    findings += [found for link in links for found in check_described_mass(link)]
     findings = list(add_plausibility(model, findings))
     return LinkMasses(model, sort_by_plausibility(links, findings), tuple(findings))
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from asbuilt import RobotModel
-from asbuilt.apps.masses.cad.solids import read_solids
+from asbuilt.apps.masses.solids import read_solids
 from asbuilt.arrays import Array
 from asbuilt.identification import LINK_SHAPES
 
@@ -21,8 +21,8 @@ def find_link_boxes(model: RobotModel) -> Mapping[int, tuple[Array, Array]]:
     boxes = {}
     for k in range(model.n_links):
         own = [solid for solid in solids if solid.link == k and len(solid.corners)]
-        if own and not any(each.missing for each in own):
-            corners = np.concatenate([each.corners for each in own])
+        if own and not any(solid.missing for solid in own):
+            corners = np.concatenate([solid.corners for solid in own])
             boxes[k] = corners.min(axis=0), corners.max(axis=0)
     return boxes
 

@@ -209,7 +209,8 @@ def _find_layout(
     table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> tuple[asbuilt.RobotModel, Layout]:
     """Return the layout, and the robot without the joints that the log lacks."""
-    model = model.locked(dict.fromkeys(name for name in sheet.lock if name in model.joint_names))
+    asked = (*sheet.lock, *(reading.lock or ()))
+    model = model.locked(dict.fromkeys(name for name in asked if name in model.joint_names))
     while True:
         try:
             return model, find_table_layout(table, sheet, model, reading)
@@ -269,17 +270,17 @@ def write_sheet(
             f"the sheet of {log} lists files, which the page does not change",
             cure=Cure("edit the sheet itself"),
         )
-    factors = {each["name"]: each["factor"] for each in document["columns"]}
+    factors = {column["name"]: column["factor"] for column in document["columns"]}
     joints = [
         joint
         for joint in document["joints"]
-        if any(each["quantity"] == "position" and each["joint"] == joint for each in chosen)
+        if any(column["quantity"] == "position" and column["joint"] == joint for column in chosen)
     ]
     columns: dict[str, Any] = {}
     units: dict[str, str] = dict(content.get("units", {}))
     for quantity in ("time", *QUANTITIES):
         names = _order_columns(quantity, joints, chosen)
-        found = [each["name"] for each in document["columns"] if each["quantity"] == quantity]
+        found = [column["name"] for column in document["columns"] if column["quantity"] == quantity]
         # A sheet that names the time takes it from that column alone, without its nanoseconds.
         if names and not (quantity == "time" and document["named"] and names == found):
             listed = names if document["named"] else [int(name) for name in names]
@@ -304,7 +305,7 @@ def _check_columns(document: Mapping[str, Any], chosen: Any) -> None:
     if not isinstance(chosen, list):
         raise UsageError(f"columns are {COLUMN_ENTRIES}")
     known = {column["name"] for column in document["columns"]}
-    quantities = {"", "time", *QUANTITIES, *(each["quantity"] for each in document["columns"])}
+    quantities = {"", "time", *QUANTITIES, *(column["quantity"] for column in document["columns"])}
     for entry in chosen:
         texts = [entry.get(key) for key in ENTRY] if isinstance(entry, dict) else [None]
         if not all(isinstance(text, str) for text in texts):
@@ -328,14 +329,14 @@ def _order_columns(
     quantity: str, joints: Sequence[str], chosen: Sequence[Mapping[str, Any]]
 ) -> list[str]:
     """Return the columns of a quantity in the order of the joints, none if it has none."""
-    own = [each for each in chosen if each["quantity"] == quantity]
+    own = [column for column in chosen if column["quantity"] == quantity]
     if quantity == "time":
         if len(own) > 1:
             raise UsageError(f"{own[0]['name']} and {own[1]['name']} are both the time; choose one")
-        return [each["name"] for each in own]
+        return [column["name"] for column in own]
     names = []
     for joint in joints if own else ():
-        found = [each["name"] for each in own if each["joint"] == joint]
+        found = [column["name"] for column in own if column["joint"] == joint]
         if len(found) != 1:
             what = " and ".join(found) if found else "no column"
             raise UsageError(
@@ -352,10 +353,10 @@ def _choose_unit(quantity: str, factors: Sequence[float | None]) -> str | None:
         return None
     for unit in UNITS:
         scale = parse_unit_scale(unit)
-        if scale is not None and all(abs(scale / each - 1.0) < SAME_UNIT for each in known):
+        if scale is not None and all(abs(scale / factor - 1.0) < SAME_UNIT for factor in known):
             return unit
     raise UsageError(
-        f"the columns of {quantity} have the factors {', '.join(f'{each:g}' for each in known)}"
+        f"the columns of {quantity} have the factors {', '.join(f'{factor:g}' for factor in known)}"
         " to SI, which a sheet cannot name by one unit",
         cure=Cure("write the sheet by hand"),
     )

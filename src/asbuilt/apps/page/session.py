@@ -352,7 +352,7 @@ class Session:
         with self._lock:
             self.uploads.mkdir(parents=True, exist_ok=True)
             number = 1 + max(
-                (_read_number(each.name) for each in self.uploads.iterdir()), default=0
+                (_read_number(folder.name) for folder in self.uploads.iterdir()), default=0
             )
             (self.uploads / str(number)).mkdir()
             return str(number)

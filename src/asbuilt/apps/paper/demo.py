@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from asbuilt.experiment import PERFECT_SENSORS, DataLogger, SimulatedRecording, 
 from asbuilt.findings import join_names
 from asbuilt.tables import Column, Table, format_share, round_significant, wrap_text
 from asbuilt.validation import Attribution, Recovery, attribute, compare_with_truth
+from asbuilt.workflow import Progress
 from asbuilt.writers import (
     Export,
     design_document,
@@ -42,8 +43,6 @@ from asbuilt.writers import (
     write_motion_report,
     write_simulation,
 )
-
-Progress = Callable[[str, float], None]
 
 ROBOT = "kuka-iiwa7-r800"
 SEED = 7
@@ -245,10 +244,10 @@ def _describe_intervals(recovery: Recovery) -> str:
     """Return how many feasible intervals hold the truth, and those of all and the last link."""
     masses = [interval for interval in recovery.intervals if interval.quantity.startswith("mass")]
     texts = [
-        f"{each.quantity} {each.text} (true"
-        f" {round_significant(recovery.true_values[each.quantity])}, CAD"
-        f" {round_significant(each.cad)})"
-        for each in (masses[0], masses[-1])
+        f"{interval.quantity} {interval.text} (true"
+        f" {round_significant(recovery.true_values[interval.quantity])}, CAD"
+        f" {round_significant(interval.cad)})"
+        for interval in (masses[0], masses[-1])
     ]
     held = f"{recovery.held} of {len(recovery.intervals)} feasible intervals hold the truth"
     return _format_line("bodies", f"{held}: {join_names(texts)}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from decimal import Decimal
 from importlib.resources import files
@@ -32,6 +32,7 @@ from asbuilt.description import DHRow, bundled_robot, robot_from_dh
 from asbuilt.excitation import Motion
 from asbuilt.identification import consistency_margin
 from asbuilt.validation import Validation, validate_samples
+from asbuilt.workflow import Progress
 
 _TERM = re.compile(r"([+-]?)\s*(?:([0-9.]+)\*)?(?:I(\d)([xyz]{2})|m(\d)\*d\5([xyz])|m(\d))(?=\s|$)")
 
@@ -124,8 +125,6 @@ def read_paper() -> Paper:
         alpha_7_printed=facts["paper"]["alpha_7_printed_deg"],
     )
 
-
-Progress = Callable[[str, float], None]
 
 ROBOT = "kuka-iiwa7-r800"
 SIMULATION_RATE = 100.0

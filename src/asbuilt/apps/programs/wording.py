@@ -110,10 +110,7 @@ def compose_preamble(request: ProgramRequest, title: str, use: Sequence[str]) ->
     motion = request.motion
     names = [make_plain_text(name) for name in model.joint_names]
     start = ", ".join(f"{q:.4f}" for q in motion.start)
-    degrees = ", ".join(
-        f"{q * (180 / np.pi if turns else 1000):.2f}"
-        for q, turns in zip(motion.start, request.revolute, strict=True)
-    )
+    degrees = ", ".join(f"{q:.2f}" for q in np.rad2deg(motion.start))
     length = "m" if not any(request.revolute) else "rad" if all(request.revolute) else "rad or m"
     facts = [
         ("", f"{title}, written by asbuilt"),

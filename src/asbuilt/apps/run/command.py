@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import math
+import shutil
+import signal
 import sys
-from contextlib import suppress
-from dataclasses import asdict
+import textwrap
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import FrameType
+from typing import Annotated, Any
 
+import matplotlib.pyplot as plt
 import typer
+from matplotlib.ticker import NullFormatter
 
 import asbuilt
 from asbuilt import UsageError, writers
+from asbuilt.apps.run.drivers import Driver, DriverRequest, moves_metal, open_driver
+from asbuilt.apps.run.folder import RunFolder, RunSettings
+from asbuilt.apps.run.loop import Loop, Outcome
 from asbuilt.apps.run.options import RunOptions
+from asbuilt.apps.run.rounds import Round
 from asbuilt.cli import (
     AsJson,
     Robot,
@@ -22,29 +36,8 @@ from asbuilt.cli import (
     show_progress,
     summarise_files,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from asbuilt.apps.run.drivers import Driver
-    from asbuilt.apps.run.loop import Loop, Outcome
-import json
-import math
-import shutil
-import signal
-import textwrap
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from types import FrameType
-
-import matplotlib.pyplot as plt
-from matplotlib.ticker import NullFormatter
-
-from asbuilt.apps.run.loop import Outcome
-from asbuilt.apps.run.rounds import Round
 from asbuilt.codec import make_plain
-from asbuilt.tables import format_share
+from asbuilt.tables import format_share, wrap_text
 
 FOLDER = Path("asbuilt-run")
 
@@ -93,22 +86,18 @@ def run(
     Each round is designed, recorded, predicted by the model so far, and learned. The first is slow
     and small. It ends when two rounds in a row are predicted within --until, or says why not.
     """
-    from asbuilt.apps.run.drivers import DriverRequest, moves_metal, open_driver
-    from asbuilt.apps.run.loop import Loop
-
     model = asbuilt.load_robot(robot)
     settings = _read_settings(model.name, options, on, motion, program, resume, out)
-    options = RunOptions(**settings["options"])
+    options = settings.options
     folder = resume or out
-    wanted = None if settings["motion"] is None else Path(settings["motion"])
-    matters = None if wanted is None else asbuilt.read_motion(wanted, model)
-    name, _, argument = str(settings["on"]).partition(":")
+    matters = None if settings.motion is None else asbuilt.read_motion(settings.motion, model)
+    name, _, argument = settings.on.partition(":")
     with catch_interrupt() as stopped, show_progress() as report:
         request = DriverRequest(
             model=model,
             argument=argument,
             seed=options.seed,
-            programs=tuple(settings["programs"]),
+            programs=settings.programs,
             collision=options.collision,
             stopped=stopped,
         )
@@ -140,10 +129,8 @@ def _read_settings(
     program: list[str] | None,
     resume: Path | None,
     out: Path,
-) -> dict[str, Any]:
+) -> RunSettings:
     """Return the settings of a loop: those given, or those of the folder that is resumed."""
-    from asbuilt.apps.run.folder import RunFolder
-
     if resume is None:
         if on is None:
             raise UsageError("run needs --on DRIVER, such as --on virtual:lab or --on files:DIR")
@@ -152,16 +139,16 @@ def _read_settings(
                 f"{out} holds a loop already; continue it with --resume {out}, or name another"
                 " folder with --out"
             )
-        return {
-            "robot": robot,
-            "on": on,
-            "motion": None if motion is None else str(motion.resolve()),
-            "programs": list(program or ()),
-            "options": asdict(options),
-        }
+        return RunSettings(
+            robot=robot,
+            on=on,
+            motion=None if motion is None else str(motion.resolve()),
+            programs=tuple(program or ()),
+            options=options,
+        )
     kept = RunFolder(resume).read_settings()
-    if kept.get("robot") != robot:
-        raise UsageError(f"{resume} holds a loop of {kept.get('robot')}, not of {robot}")
+    if kept.robot != robot:
+        raise UsageError(f"{resume} holds a loop of {kept.robot!r}, not of {robot}")
     if out != FOLDER:
         raise UsageError("--resume goes on in its own folder; leave out --out")
     # What may change from start to start: how long the loop goes on.
@@ -170,8 +157,12 @@ def _read_settings(
         for name in ("until", "rounds")
         if getattr(options, name) != getattr(RunOptions(), name)
     }
-    kept["options"] |= changed
-    return kept | ({"on": on} if on else {}) | ({"programs": program} if program else {})
+    return replace(
+        kept,
+        on=on or kept.on,
+        programs=tuple(program or kept.programs),
+        options=replace(kept.options, **changed),
+    )
 
 
 def _make_confirm(driver: Driver, *, asks: bool) -> Callable[[Path, int], bool]:
@@ -218,8 +209,6 @@ def _write(loop: Loop) -> tuple[Outcome, dict[str, Path]]:
 def _answer(
     outcome: Outcome, loop: Loop, files: dict[str, Path], robot: str, as_json: bool
 ) -> None:
-    from asbuilt.tables import wrap_text
-
     if as_json:
         document = outcome_document(outcome, loop.model.name, loop.options, files)
         print(format_json_line(document), flush=True)
@@ -294,14 +283,15 @@ def _share(value: float) -> str:
     return format_share(value) if math.isfinite(value) else "-"
 
 
+def _list_tested(rounds: Sequence[Round]) -> list[Round]:
+    """Return the rounds of which a model promised an error, and one was found."""
+    return [row for row in rounds if row.promised is not None and math.isfinite(row.found)]
+
+
 def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
     """Return a picture in text: promised (p) and found (f) error by round, `|` the wanted one."""
     until = options.until / 100.0
-    rows = [
-        (each.number, each.promised, each.found)
-        for each in rounds
-        if each.promised is not None and math.isfinite(each.found)
-    ]
+    rows = [(row.number, row.promised, row.found) for row in _list_tested(rounds)]
     if not rows:
         return ""
     values = [until, *(value for row in rows for value in row[1:] if value)]
@@ -330,7 +320,7 @@ def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
 
 def write_promise_figure(path: Path, rounds: Sequence[Round], options: RunOptions) -> Path | None:
     """Write promised against found error of each round as PNG; None without a tested round."""
-    rows = [each for each in rounds if each.promised is not None and math.isfinite(each.found)]
+    rows = _list_tested(rounds)
     if not rows:
         return None
     numbers = [row.number for row in rows]
@@ -391,14 +381,4 @@ def outcome_document(
 
 def format_json_line(document: Mapping[str, Any]) -> str:
     """Return a document as one line."""
-    plain = make_plain(document)
-    return json.dumps(_finite(plain), ensure_ascii=False, allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    """Return plain data with None for numbers that JSON does not have."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    return [_finite(each) for each in value] if isinstance(value, list) else value
+    return json.dumps(make_plain(document), ensure_ascii=False, allow_nan=False)

@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-from asbuilt import Recording, UsageError, writers
+from asbuilt import AsbuiltError, Recording, UsageError, writers
+from asbuilt.apps.run.options import RunOptions
+from asbuilt.codec import format_json, restore_dataclass
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure
 from asbuilt.untrusted import parse_json, read_text
 from asbuilt.writing import atomic_write
 
 SETTINGS = "run.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Hold with what a loop was started, and is resumed.
+
+    Parameters
+    ----------
+    robot
+        Name of the robot.
+    on
+        The driver and its argument, such as `virtual:lab`.
+    motion
+        File of the motion that matters; None: the robot's whole range.
+    programs
+        Formats of controller programs.
+    options
+        The options.
+    logs
+        Logs that lie elsewhere, by number of the round.
+    """
+
+    robot: str = ""
+    on: str = ""
+    motion: str | None = None
+    programs: tuple[str, ...] = ()
+    options: RunOptions = field(default_factory=RunOptions)
+    logs: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -36,38 +64,34 @@ class RunFolder:
         own = self.path / f"round_{number}.csv"
         if own.exists():
             return own
-        named = self._read().get("logs", {}).get(str(number))
+        named = self._read().logs.get(str(number))
         return None if named is None or not Path(named).exists() else Path(named)
-
-    def name_log(self, recording: Recording) -> Path | None:
-        """Return the file that a recording was read from; None if it has none."""
-        source = Path(recording.source)
-        return source if recording.source and source.exists() else None
 
     def keep_log(self, number: int, recording: Recording) -> Path:
         """Keep the log of a round: the file it was read from, or else a new one."""
-        source = self.name_log(recording)
-        if source is None:
+        source = Path(recording.source)
+        if not (recording.source and source.exists()):
             return writers.write_log(self.path / f"round_{number}.csv", recording)["recording"]
         settings = self._read()
-        logs = {**settings.get("logs", {}), str(number): str(source.resolve())}
-        self._write({**settings, "logs": logs})
+        logs = {**settings.logs, str(number): str(source.resolve())}
+        self.keep_settings(replace(settings, logs=logs))
         return source
 
-    def keep_settings(self, settings: Mapping[str, Any]) -> None:
+    def keep_settings(self, settings: RunSettings) -> None:
         """Write the settings with which the loop is resumed."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        self._write({**settings, "logs": self._read().get("logs", {})})
+        atomic_write(self.path / SETTINGS, format_json(settings), own=True)
 
-    def read_settings(self) -> dict[str, Any]:
+    def read_settings(self) -> RunSettings:
         """Return the settings of an earlier loop.
 
         Raises
         ------
         UsageError
             If the folder has none.
+        ResultError
+            If they cannot be read.
         """
-        if not (self.path / SETTINGS).is_file():
+        if not self.has_rounds():
             raise UsageError(
                 f"{self.path} holds no loop to resume: it has no {SETTINGS}",
                 cure=Cure("name the folder into which the loop wrote its rounds"),
@@ -79,19 +103,15 @@ class RunFolder:
         """Return whether an earlier loop left its files here."""
         return (self.path / SETTINGS).is_file()
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> RunSettings:
+        """Return the settings, those of no loop if there are none; raises `ResultError`."""
+        if not self.has_rounds():
+            return RunSettings()
         path = self.path / SETTINGS
-        if not path.is_file():
-            return {}
+        text = read_text(path, "settings of a loop", ResultError)
         try:
-            read = parse_json(read_text(path, "settings of a loop", ResultError))
-        except ResultError:
-            raise
-        except ValueError as problem:
-            raise ResultError(f"{path} cannot be read: {problem}", file=str(path)) from None
-        if not isinstance(read, dict):
-            raise ResultError(f"{path} holds no settings of a loop", file=str(path))
-        return read
-
-    def _write(self, settings: Mapping[str, Any]) -> None:
-        atomic_write(self.path / SETTINGS, json.dumps(settings, indent=2) + "\n", own=True)
+            return restore_dataclass(RunSettings, parse_json(text))
+        except (ValueError, TypeError, AsbuiltError) as problem:
+            raise ResultError(
+                f"{path} holds no settings of a loop: {problem}", file=str(path)
+            ) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,13 +18,12 @@ from asbuilt.apps.run.folder import RunFolder
 from asbuilt.apps.run.options import RunOptions
 from asbuilt.apps.run.promise import States, choose_states, weigh_parameters
 from asbuilt.apps.run.rounds import Round, check_log, learn_round, moves_as_goal, without_hold_out
-from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation import Motion, check_motion, measure_clearance
 from asbuilt.identification import known_information
 from asbuilt.tables import format_share
+from asbuilt.workflow import Progress
 
-Progress = Callable[[str, float], None]
 Ending = Literal["proven", "with care", "unreachable", "rounds", "interrupted"]
 
 IN_A_ROW = 2
@@ -47,7 +47,7 @@ class Outcome:
     @property
     def seconds(self) -> float:
         """Motion of all rounds [s]."""
-        return sum(each.seconds for each in self.rounds)
+        return sum(round.seconds for round in self.rounds)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -162,15 +162,11 @@ class Loop:
 
     def _design(self, number: int, path: Path) -> None:
         self.progress(f"design round {number}", 0.0)
-        last = self.rounds[-1] if self.rounds else None
-        study, weights = (None, None) if last is None else (last.study, last.goal.widening)
         motion = design_round(
             self.model,
-            study,
+            self.rounds,
             self.options,
-            number,
             self._states,
-            weights,
             self.motion,
             as_goal=self._moves_as_goal(),
         )
@@ -182,14 +178,14 @@ def choose_ending(rounds: Sequence[Round], options: RunOptions) -> Ending | None
     """Return how a loop with these rounds ends; None while it goes on."""
     until = options.until / 100.0
     last = rounds[-IN_A_ROW:]
-    if len(last) == IN_A_ROW and all(each.passes(until) for each in last):
-        if all(each.verdict == "yes" for each in last):
+    if len(last) == IN_A_ROW and all(round.passes(until) for round in last):
+        if all(round.verdict == "yes" for round in last):
             return "proven"
-        reasons = [each.tested.verdict.reasons for each in last if each.tested is not None]
+        reasons = [round.tested.verdict.reasons for round in last if round.tested is not None]
         if all(set(reasons[0]) == set(reason) for reason in reasons) and reasons[0]:
             return "with care"
     if len(rounds) >= LEARNED_FIRST and len(last) == IN_A_ROW:
-        before, now = (each.goal_noise for each in last)
+        before, now = (round.goal_noise for round in last)
         if now > until and now > STALLED * before:
             return "unreachable"
     return "rounds" if len(rounds) >= options.rounds else None
@@ -203,13 +199,13 @@ def conclude(rounds: Sequence[Round]) -> Study | None:
     if not rounds:
         return None
     study = rounds[-1].study
-    tested = [each.tested for each in rounds[-IN_A_ROW:] if each.tested is not None]
+    tested = [round.tested for round in rounds[-IN_A_ROW:] if round.tested is not None]
     if not tested:
         return study
     return replace(
         study,
         findings=without_hold_out(study),
-        validations=tuple(each.validation for each in tested),
+        validations=tuple(test.validation for test in tested),
         rollouts=tested[-1].rollouts,
     )
 
@@ -218,7 +214,7 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
     """Return why a loop ended, and what would help where it did not prove the model."""
     if not rounds:
         return "No round was recorded."
-    seconds = sum(each.seconds for each in rounds)
+    seconds = sum(round.seconds for round in rounds)
     spent = f"{len(rounds)} round{'s' if len(rounds) > 1 else ''}, {seconds:.4g} s of motion"
     last = rounds[-1]
     wanted = format_share(options.until / 100.0)
@@ -234,9 +230,8 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
         assert last.tested is not None
         return (
             f"The error is within {wanted}, but further rounds would not lead to USE:"
-            f" {last.tested.caution}"
-            f" ({spent}). {_advise(last)}"
-        ).strip()
+            f" {last.tested.caution} ({spent}). {_advise(last)}"
+        )
     found = f"{format_share(last.found)} was found in the last round, {promised} is promised"
     if ending == "rounds" and last.passes(options.until / 100.0):
         return (
@@ -244,11 +239,11 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
             f" ({spent}): {found}. More rounds may prove it."
         )
     if ending == "rounds":
-        return f"Not proven within {wanted} after {spent}: {found}. {_advise(last)}".strip()
+        return f"Not proven within {wanted} after {spent}: {found}. {_advise(last)}"
     return (
         f"{wanted} cannot be reached by more motion of this kind: {found}, of which"
         f" {format_share(last.goal_noise)} is unexplained ({spent}). {_advise(last)}"
-    ).strip()
+    )
 
 
 def _advise(last: Round) -> str:
@@ -258,8 +253,12 @@ def _advise(last: Round) -> str:
     joint = int(np.argmax(variance))
     name = result.model.joint_names[joint]
     share = variance[joint] / np.sum(variance)
-    findings = [each for each in without_hold_out(last.study) if each.severity != "info"]
-    about = [finding for finding in findings if finding.joint == name or name in finding.message]
+    findings = [finding for finding in without_hold_out(last.study) if finding.severity != "info"]
+    # joint_1 is not named by a message on joint_10.
+    named = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)")
+    about = [
+        finding for finding in findings if finding.joint == name or named.search(finding.message)
+    ]
     first = next(iter((*about, *findings)), None)
     place = f"{format_share(share, 0)} of the unexplained squared torque is at {name}."
     if first is None:
@@ -284,27 +283,26 @@ MOST_SLOWED = 20
 
 def design_round(
     model: RobotModel,
-    study: Study | None,
+    earlier: Sequence[Round],
     options: RunOptions,
-    number: int,
     states: States,
-    weights: Array | None,
     goal: Motion | None = None,
     *,
     as_goal: bool = False,
 ) -> Motion:
-    """Return the motion of a round, within every limit.
+    """Return the motion of the round after others, within every limit.
 
     The first is small and slow and determines all parameters alike. One that moves `as_goal` is
     `goal`, the user's motion, or a random one over the whole range. Each further one has the least
     `tr(A C)` with what is known, A the cost of parameter errors for the purpose, in which joints
-    count by `weights` (n,).
+    count as much as tests have widened their promise.
 
     Raises
     ------
     MotionError
         If no motion within the limits is found.
     """
+    number = len(earlier) + 1
     wanted = DesignOptions(
         duration=options.seconds,
         fraction=options.speed if number == 1 else options.fraction,
@@ -312,15 +310,15 @@ def design_round(
         starts=STARTS,
         seed=options.seed + number,
     )
-    if study is None:
+    if not earlier:
         return _design(model, wanted)
+    study = earlier[-1].study
     if as_goal:
         usual = _choose_goal_motion(model, options, number, goal)
         if usual is not None:
             return _slow_down(study, usual)
     result = study.result
-    share = np.ones(model.n_joints) if weights is None else weights
-    purpose = weigh_parameters(result, states, options.purpose, share**2)
+    purpose = weigh_parameters(result, states, options.purpose, earlier[-1].goal.widening ** 2)
     sigma = result.sigma
     finite = np.where(np.isfinite(sigma), sigma, np.max(sigma[np.isfinite(sigma)]))
     try:

@@ -156,9 +156,9 @@ def learn_round(
     """
     last = earlier[-1] if earlier else None
     tests = [
-        (each.as_goal, each.states, each.promise, each.tested)
-        for each in earlier
-        if each.promise and each.tested
+        (round.as_goal, round.states, round.promise, round.tested)
+        for round in earlier
+        if round.promise and round.tested
     ]
     promise = tested = promised = None
     moved = States.of([motion])
@@ -247,7 +247,7 @@ def _list_learned(last: Round | None, study: Study) -> Iterator[str]:
     """Yield the parameters and effects that a round added to the model."""
     result = study.result
     before = () if last is None else last.study.effects
-    known = {(each.effect, each.joint) for each in before if each.in_model}
+    known = {(effect.effect, effect.joint) for effect in before if effect.in_model}
     if last is None or last.study.result.rank != result.rank:
         yield f"{result.rank} of {result.n_base} parameters"
     for effect in study.effects:

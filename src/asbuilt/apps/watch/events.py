@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 from asbuilt.apps.watch.causal_filter import choose_pole
 from asbuilt.apps.watch.observed import Observed
 from asbuilt.apps.watch.observer import Observer
-from asbuilt.apps.watch.thresholds import HALF, Thresholds
+from asbuilt.apps.watch.thresholds import HALF
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import make_plain
 from asbuilt.description import RobotModel
@@ -77,6 +77,11 @@ class Event:
         """Time from the first to the last sample beyond a threshold [s]."""
         return self.end - self.start
 
+    @property
+    def excess(self) -> float:
+        """Largest residual at the peak, per threshold."""
+        return float(np.max(np.abs(self.residual) / self.threshold))
+
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists."""
         return dict(make_plain(self))
@@ -87,35 +92,28 @@ def find_events(
     observed: Observed,
     scale: Array,
     limit: Array,
-    thresholds: Thresholds,
     tool: tuple[int, Array],
-    *,
-    apart: float,
 ) -> tuple[Event, ...]:
     """Return the events of a log in order of time.
+
+    A block without a residual beyond its threshold ends an event.
 
     Parameters
     ----------
     observer, observed
-        The observer and what it made of the log.
+        The observer, with thresholds, and what it made of the log.
     scale, limit
         Scale and threshold of the residual (N, n), of `Thresholds.of_log`.
-    thresholds
-        The thresholds.
     tool
         Link that carries the tool, counted from 0, and pose (4, 4) of the tool's frame in it.
-    apart
-        Time [s] without a residual beyond its threshold that ends an event.
     """
     beyond = np.abs(observed.residual) > limit
     places = np.flatnonzero(beyond.any(axis=1))
     if places.size == 0:
         return ()
-    cuts = np.flatnonzero(np.diff(observed.t[places]) > apart) + 1
+    cuts = np.flatnonzero(np.diff(observed.t[places]) > observer.limits.block_seconds) + 1
     return tuple(
-        _make_event(
-            observer, observed, scale, limit, thresholds, slice(part[0], part[-1] + 1), tool
-        )
+        _make_event(observer, observed, scale, limit, slice(part[0], part[-1] + 1), tool)
         for part in np.split(places, cuts)
     )
 
@@ -126,10 +124,7 @@ def join_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
     for event in events:
         if found and event.start - found[-1].end <= apart:
             before = found.pop()
-            larger = max(
-                (before, event),
-                key=lambda each: float(np.max(np.abs(each.residual) / each.threshold)),
-            )
+            larger = max(before, event, key=lambda one: one.excess)
             names = tuple(dict.fromkeys((*before.joints, *event.joints)))
             found.append(replace(larger, start=before.start, end=event.end, joints=names))
         else:
@@ -142,7 +137,6 @@ def _make_event(
     observed: Observed,
     scale: Array,
     limit: Array,
-    thresholds: Thresholds,
     part: slice,
     tool: tuple[int, Array],
 ) -> Event:
@@ -154,7 +148,7 @@ def _make_event(
     here = slice(peak, peak + 1)
     q = observed.q[peak]
     r = observed.residual[peak]
-    error = thresholds.covariance(observed.part(here), scale[here], observer.model_error)
+    error = observer.limits.covariance(observed.part(here), scale[here], observer.model_error)
     event = Event(
         kind="contact",
         start=float(t[0]),

@@ -16,9 +16,9 @@ which exceeds `k / B exp(-k y / T)`, what the estimates themselves would say.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
@@ -45,22 +45,6 @@ SCALES = np.geomspace(0.25, 4.0, 61)
 """Scales of the posterior, in mean excesses."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tail:
-    """Hold a level and the tail that it follows from.
-
-    `start` is the quantile above which the tail is fitted, `peaks` of `blocks` exceed it, `shape`
-    and `scale` are posterior means.
-    """
-
-    level: float
-    start: float
-    peaks: int
-    blocks: int
-    shape: float
-    scale: float
-
-
 def block_maxima(t: Array, values: Array, seconds: float) -> Array:
     """Return the largest values (B, n) of blocks of `seconds`, without blocks less than half full.
 
@@ -81,7 +65,7 @@ def divide_into_blocks(t: Array, seconds: float) -> tuple[Indices, Indices]:
     return starts, np.diff(np.append(starts, len(t)))
 
 
-def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAILS) -> Tail:
+def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAILS) -> float:
     """Return the level that the next block maximum exceeds with a stated probability.
 
     Parameters
@@ -101,7 +85,7 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
     Examples
     --------
     >>> maxima = -np.log(np.random.default_rng(0).uniform(size=2000))
-    >>> bool(abs(tail_level(maxima, 1e-3).level / np.log(1000.0) - 1.0) < 0.1)
+    >>> bool(abs(tail_level(maxima, 1e-3) / np.log(1000.0) - 1.0) < 0.1)
     True
     """
     x = np.sort(maxima)
@@ -114,35 +98,24 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
             value=blocks,
             expected=TAIL_FEWEST_BLOCKS,
         )
-    counts = {_count_peaks(blocks, share) for share in shares}
-    found = [_fit_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
-    return max(found, key=lambda tail: tail.level)
+    return max(_fit_tail(x, _count_peaks(blocks, share), probability) for share in shares)
 
 
-def _fit_tail(x: Array, peaks: int, probability: float) -> Tail:
+def _fit_tail(x: Array, peaks: int, probability: float) -> float:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
-    blocks = len(x)
     start, mean = _find_tail(x, peaks)
-    shape, scale, weight = _evaluate_posterior((x[-peaks:] - start) / mean)
-    above = (peaks + 1) / (blocks + 1)
-    low = 0.0
-    high = 1.0
-    while above * _evaluate_survival(high, shape, scale, weight) > probability and high < 1e9:
-        high *= 2.0
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        over = above * _evaluate_survival(middle, shape, scale, weight) > probability
-        low, high = (middle, high) if over else (low, middle)
+    above = (peaks + 1) / (len(x) + 1)
     if probability >= above:
-        return Tail(float(np.quantile(x, 1.0 - probability)), start, peaks, blocks, 0.0, mean)
-    return Tail(
-        start + mean * high,
-        start,
-        peaks,
-        blocks,
-        float(np.sum(weight * shape)),
-        mean * float(np.sum(weight * scale)),
-    )
+        return float(np.quantile(x, 1.0 - probability))
+    posterior = _evaluate_posterior((x[-peaks:] - start) / mean)
+
+    def excess(y: float) -> float:
+        return above * _evaluate_survival(y, *posterior) - probability
+
+    high = 1.0
+    while excess(high) > 0.0 and high < 1e9:
+        high *= 2.0
+    return start + mean * (brentq(excess, 0.0, high, xtol=1e-300) if excess(high) < 0.0 else high)
 
 
 def select_largest(maxima: Array) -> Array:

@@ -96,6 +96,11 @@ class Observed:
     residual: Array
     left_out: int = field(default=0, kw_only=True)
 
+    @property
+    def seconds(self) -> float:
+        """Time that was observed [s]: without gaps, and without what settles the causal filter."""
+        return float(np.diff(self.t)[self.share[1:] > 0.0].sum())
+
     def part(self, rows: slice) -> Observed:
         """Return adjacent samples."""
         return Observed(self.t[rows], self.share[rows], *(x[rows] for x in self._of_joints))

@@ -206,16 +206,29 @@ class Observer:
         return self.residual.copy()
 
     @property
-    def threshold(self) -> Array:
-        """The residual (n,) beyond which the last sample is an alarm."""
+    def limits(self) -> Thresholds:
+        """The thresholds; raises `UsageError` without any."""
         if self.thresholds is None:
             raise UsageError(
                 "this observer has no thresholds",
                 cure=Cure("give it thresholds", call="set_thresholds"),
             )
+        return self.thresholds
+
+    @property
+    def least_threshold(self) -> Array:
+        """The threshold (n,) of a model without errors, which takes less time."""
+        return self._evaluate_threshold(np.zeros(self.residual.shape))
+
+    @property
+    def threshold(self) -> Array:
+        """The residual (n,) beyond which the last sample is an alarm."""
         error = self.model_error.std(self.q[None], self.qd[None], self.qdd[None])[0]
+        return self._evaluate_threshold(error)
+
+    def _evaluate_threshold(self, error: Array) -> Array:
         parts = self.slowness, self.step, self.unknown_friction
-        return self.thresholds.limit(self.qd, *parts, error)
+        return self.limits.limit(self.qd, *parts, error)
 
     @property
     def alarms(self) -> tuple[str, ...]:

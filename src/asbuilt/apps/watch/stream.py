@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.apps.watch import Event, Observed, Observer, Thresholds
+from asbuilt.apps.watch import Event, Observed, Observer
 from asbuilt.apps.watch.events import find_events
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel
@@ -161,7 +161,7 @@ class StreamedRows:
                 self.names = self.names or tuple(content)
                 values = [float(content[name]) for name in self.names]
             else:
-                values = [float(each) if each.strip() else np.nan for each in text.split(",")]
+                values = [float(cell) if cell.strip() else np.nan for cell in text.split(",")]
             if len(values) != len(self.names):
                 raise ValueError(f"{len(values)} numbers for {len(self.names)} columns")
         except (ValueError, KeyError, TypeError, RecursionError) as problem:
@@ -230,12 +230,6 @@ class StreamWatch:
         self.frame = name
         self._tool = link, placement
 
-    @property
-    def thresholds(self) -> Thresholds:
-        """The thresholds of the observer."""
-        assert self.observer.thresholds is not None
-        return self.observer.thresholds
-
     def take(self, t: float, q: Array, tau: Array, qd: Array | None) -> None:
         """Take one sample; one that is not finite, or not later than the last, is left out."""
         given = (q, tau) if qd is None else (q, tau, qd)
@@ -255,16 +249,13 @@ class StreamWatch:
 
     def _follow(self, t: float) -> None:
         see = self.observer
-        if self._rows and t - self._last > self.thresholds.block_seconds:
+        if self._rows and t - self._last > see.limits.block_seconds:
             self._end()
         # The error of the model only raises a limit, and takes most of the time: most samples are
         # below the limit without it.
-        limit = self._limit(np.zeros(see.residual.shape))
-        beyond = bool((np.abs(see.residual) > limit).any())
-        if beyond:
-            limit = self._limit(see.model_error.std(see.q[None], see.qd[None], see.qdd[None])[0])
-            beyond = bool((np.abs(see.residual) > limit).any())
+        beyond = bool((np.abs(see.residual) > see.least_threshold).any()) and bool(see.alarms)
         if beyond and not self._rows:
+            limit = see.threshold
             k = int(np.argmax(np.abs(see.residual) / limit))
             self.begun(t, see.model.joint_names[k], float(see.residual[k]), float(limit[k]))
         if beyond or self._rows:
@@ -277,24 +268,18 @@ class StreamWatch:
         if len(self._rows) >= LONGEST_EVENT:
             self._end()
 
-    def _limit(self, error: Array) -> Array:
-        see = self.observer
-        return self.thresholds.limit(see.qd, see.slowness, see.step, see.unknown_friction, error)
-
     def _end(self) -> None:
         times, *arrays = zip(*self._rows, strict=True)
         q, qd, qdd, step, unknown, residual, slowness = map(np.array, arrays)
         observed = Observed(
             np.array(times), np.zeros(len(times)), q, qd, qdd, step, unknown, residual
         )
+        thresholds = self.observer.limits
         error = self.observer.model_error.std(q, qd, qdd)
-        scale = self.thresholds.scale(qd, slowness, error)
-        limit = self.thresholds.limit(qd, slowness, step, unknown, error)
+        scale = thresholds.scale(qd, slowness, error)
+        limit = thresholds.limit(qd, slowness, step, unknown, error)
         self._rows.clear()
-        for event in find_events(
-            self.observer, observed, scale, limit, self.thresholds, self._tool,
-            apart=self.thresholds.block_seconds,
-        ):  # fmt: skip
+        for event in find_events(self.observer, observed, scale, limit, self._tool):
             self.n_events += 1
             self.ended(event)
 
@@ -317,7 +302,7 @@ def watch_stream(
     reader = None
     origin = 0.0
     chosen = replace(options or ReadingOptions(), rate=None)
-    filtered = watching.thresholds.filtered
+    filtered = watching.observer.limits.filtered
     for row in rows:
         if reader is None:
             reader = RowReader.of(rows.names, watching.observer.model, chosen, "standard input")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,12 +79,12 @@ class Thresholds:
         Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`],
         and speeds [rad/s or m/s], the last the highest met.
     velocity_error
-        Largest error of the velocities [rad/s or m/s] per joint, (n,); none given: 0.
+        Largest error of the velocities [rad/s or m/s] per joint, (n,).
     model_part
-        Share of the model's standard deviation in S, per joint, (n,); none given: 1.
+        Share of the model's standard deviation in S, per joint, (n,).
     spread
-        RMS residual per `deviation`, per joint, (n,); none given: 1. The scale that makes
-        thresholds lowest is no standard deviation.
+        RMS residual per `deviation`, per joint, (n,): the scale that makes thresholds lowest is no
+        standard deviation.
     held_out
         Whether the levels were set on recordings other than the one watched.
     filtered
@@ -108,17 +108,14 @@ class Thresholds:
     fast: Array
     slow_speed: Array
     top_speed: Array
-    velocity_error: Array = field(default_factory=lambda: np.zeros(0))
-    model_part: Array = field(default_factory=lambda: np.zeros(0))
-    spread: Array = field(default_factory=lambda: np.zeros(0))
+    velocity_error: Array
+    model_part: Array
+    spread: Array
     held_out: bool = True
     filtered: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
-        for name, value in (("velocity_error", 0.0), ("model_part", 1.0), ("spread", 1.0)):
-            if np.size(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.full(n, value))
         for name in ("bandwidth", "false_alarms_per_hour", "block_seconds", "hours", "rate"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
@@ -260,7 +257,7 @@ def set_thresholds(
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
     kept = [np.ones(len(log.t), dtype=bool) for log in logs]
     seconds = max(LEVEL_BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
-    hours = sum(float(log.t[-1] - log.t[0]) for log in logs) / 3600.0
+    hours = sum(log.seconds for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
     if probability > LEVEL_MOST:
         highest = float(-np.log1p(-LEVEL_MOST) * n * 3600.0 / seconds)
@@ -271,7 +268,9 @@ def set_thresholds(
             expected=highest,
         )
     for last in (held_out, True):
-        parts = [_fit_parts(j, logs, models, kept, seconds, probability) for j in range(n)]
+        floor, slow_part, fast, model_part, slow_speed = _fit_scale(
+            logs, models, kept, seconds, probability
+        )
         made = Thresholds(
             joint_names=names,
             bandwidth=bandwidth,
@@ -280,13 +279,14 @@ def set_thresholds(
             hours=hours,
             rate=float(np.median(np.concatenate([sampling_rates(log.t) for log in logs]))),
             level=np.ones(n),
-            floor=np.array([part[0] for part in parts]),
-            slow_part=np.array([part[1] for part in parts]),
-            fast=np.array([part[2] for part in parts]),
-            model_part=np.array([part[3] for part in parts]),
-            slow_speed=np.array([part[4] for part in parts]),
+            floor=floor,
+            slow_part=slow_part,
+            fast=fast,
+            slow_speed=slow_speed,
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
             velocity_error=np.zeros(n) if velocity_error is None else velocity_error,
+            model_part=model_part,
+            spread=np.ones(n),
             held_out=held_out,
             filtered=filtered,
         )
@@ -337,14 +337,14 @@ def estimate_levels(maxima: Array, expected: float) -> Array:
     n = maxima.shape[1]
     if len(maxima) < MANY:
         each = float(-np.expm1(-expected / n))
-        return np.array([tail_level(column, each).level for column in maxima.T])
+        return np.array([tail_level(column, each) for column in maxima.T])
     part = np.arange(len(maxima)) * LEVEL_PARTS // len(maxima)
     pooled = [
         (maxima[part == k] / _average_largest(maxima[part != k])).max(axis=1)
         for k in range(LEVEL_PARTS)
     ]
-    tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
-    return _average_largest(maxima) * tail.level
+    level = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
+    return _average_largest(maxima) * level
 
 
 def _average_largest(maxima: Array) -> Array:
@@ -378,15 +378,53 @@ def _find_quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
     return np.repeat(largest <= np.median(largest), counts)
 
 
-def _fit_parts(
-    j: int,
+def _fit_scale(
     logs: Sequence[Observed],
     models: Sequence[Array],
     kept: Sequence[Mask],
     seconds: float,
     probability: float,
-) -> tuple[float, float, float, float, float]:
-    """Return floor, slow part, fast part, model part and slow speed of joint j.
+) -> Array:
+    """Return floor, slow part, fast part, model part and slow speed of the joints, (5, n)."""
+    residual, speed, model, step, unknown = (
+        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
+        for arrays in (
+            [log.residual for log in logs],
+            [log.qd for log in logs],
+            models,
+            [log.step for log in logs],
+            [log.unknown_friction for log in logs],
+        )
+    )
+    starts = _find_block_starts(logs, kept, seconds)
+    least = [least_speed(delay_velocities(log), log.qd) for log in logs]
+
+    def fit_joint(j: int) -> tuple[float, ...]:
+        def find_slowness(slow_speed: float) -> Array:
+            near = [np.exp(-((speeds[:, j : j + 1] / slow_speed) ** 2)) for speeds in least]
+            lagged = (
+                apply_lag(log.share, x)[keep, 0]
+                for log, x, keep in zip(logs, near, kept, strict=True)
+            )
+            return np.concatenate([*lagged])
+
+        columns = (x[:, j].copy() for x in (residual, speed, model, step, unknown))
+        return _fit_parts(*columns, find_slowness, starts, probability)
+
+    return np.transpose([fit_joint(j) for j in range(residual.shape[1])])
+
+
+def _fit_parts(
+    residual: Array,
+    speed: Array,
+    model: Array,
+    step: Array,
+    unknown: Array,
+    find_slowness: Callable[[float], Array],
+    starts: NDArray[Any],
+    probability: float,
+) -> tuple[float, ...]:
+    """Return floor, slow part, fast part, model part and slow speed of a joint.
 
     For each slow speed and least floor they are the most likely for normal residuals of these
     scales, by weighted least squares of the squares; shares of the steps of torque and of the
@@ -395,46 +433,31 @@ def _fit_parts(
     their tail is exponential. The most likely scale alone is not it: where it is too small, a few
     samples would raise the level everywhere.
     """
-    residual, speed, model, step, unknown = (
-        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
-        for arrays in (
-            [log.residual[:, j] for log in logs],
-            [log.qd[:, j] for log in logs],
-            [model[:, j] for model in models],
-            [log.step[:, j] for log in logs],
-            [log.unknown_friction[:, j] for log in logs],
-        )
-    )
     size = float(np.sqrt(np.mean(residual**2)))
     top = float(np.abs(speed).max()) or 1.0
-    starts = _find_block_starts(logs, kept, seconds)
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
     few = slice(None, None, max(1, len(residual) // LEVEL_MOST_ROWS))
     extra = np.column_stack([step, unknown]) / size
-    least = [least_speed(delay_velocities(log), log.qd) for log in logs]
-    best: tuple[float, tuple[float, float, float, float, float]] | None = None
-    for part in SLOW:
-        slow_speed = part * top
-        slowness = np.concatenate(
-            [
-                apply_lag(log.share, np.exp(-((speed_of[:, j : j + 1] / slow_speed) ** 2)))[keep, 0]
-                for log, speed_of, keep in zip(logs, least, kept, strict=True)
-            ]
-        )
+    costs = []
+    parts = []
+    for share in SLOW:
         columns = np.column_stack(
-            [np.ones(len(speed)), slowness, (speed / top) ** 2, (model / size) ** 2]
+            [
+                np.ones(len(speed)),
+                find_slowness(share * top),
+                (speed / top) ** 2,
+                (model / size) ** 2,
+            ]
         )
         whole = np.column_stack([columns, extra**2])[few]
         for floor in LEAST:
             found = _fit_variances(whole, (residual[few] / size) ** 2, floor)
             scale = np.sqrt(columns @ found[:4])
             level = exponential_level(np.maximum.reduceat(excess / scale, starts), probability)
-            cost = float(np.log(max(level, np.finfo(float).tiny)) + np.mean(np.log(scale)))
-            if best is None or cost < best[0]:
-                a, b, c, d = np.sqrt(found[:4]).tolist()
-                best = cost, (size * a, size * b, size * c / top, d, slow_speed)
-    assert best is not None
-    return best[1]
+            costs.append(np.log(max(level, np.finfo(float).tiny)) + np.mean(np.log(scale)))
+            a, b, c, d = np.sqrt(found[:4]).tolist()
+            parts.append((size * a, size * b, size * c / top, d, share * top))
+    return parts[int(np.argmin(costs))]
 
 
 def _fit_variances(columns: Array, squares: Array, floor: float) -> Array:

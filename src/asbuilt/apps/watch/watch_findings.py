@@ -48,12 +48,11 @@ class Tally:
 
     def add(self, observer: Observer, observed: Observed, scale: Array, limit: Array) -> None:
         """Count one more part, with scale and threshold (N, n) of its residual."""
-        steps = np.diff(observed.t)
         self.n_samples += len(observed.t)
         self.left_out += observed.left_out
-        self.seconds += float(steps[observed.share[1:] > 0.0].sum())
+        self.seconds += observed.seconds
         self.tops.append(np.abs(observed.qd).max(axis=0))
-        if not steps.size:
+        if len(observed.t) < 2:
             return
         self.rates.append(float(np.median(sampling_rates(observed.t))))
         # Median of the absolute value of a standard normal variable.
@@ -98,49 +97,51 @@ WATCH_SHORT = 120.0  # Duration [s] below which thresholds are mostly extrapolat
 
 def report_velocities(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
     """Return what to say of velocities that are not used."""
+    if measured:
+        return []
     why = "lag behind the positions or are noisy" if head_of(log).qd is not None else "are missing"
-    finding = Finding(
-        "velocities_filtered",
-        "info",
-        f"logged velocities {why}; positions and torques go through one causal filter, which"
-        " delays alarms by half of the observer's lag",
-    )
-    return [] if measured else [finding]
+    return [
+        Finding(
+            "velocities_filtered",
+            "info",
+            f"logged velocities {why}; positions and torques go through one causal filter, which"
+            " delays alarms by half of the observer's lag",
+        )
+    ]
 
 
 def report_calibration(thresholds: Thresholds) -> list[Finding]:
     """Return what to say of the recordings that set thresholds."""
     seconds = 3600.0 * thresholds.hours
-    finding = Finding(
-        "calibration_short",
-        "warning",
-        f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
-        " is extrapolated, and the rate of false alarms is not verified",
-        Cure(f"give recordings of at least {WATCH_SHORT:.0f} s"),
-    )
-    return [finding] if thresholds.held_out and seconds < WATCH_SHORT else []
+    if not thresholds.held_out or seconds >= WATCH_SHORT:
+        return []
+    return [
+        Finding(
+            "calibration_short",
+            "warning",
+            f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
+            " is extrapolated, and the rate of false alarms is not verified",
+            Cure(f"give recordings of at least {WATCH_SHORT:.0f} s"),
+        )
+    ]
 
 
 def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
-    rate = np.median(log.rates)
-    top = np.max(log.tops, axis=0)
-    faster = np.flatnonzero(top > WATCH_FASTER * thresholds.top_speed)
-    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
-    names = join_names([thresholds.joint_names[k] for k in faster])
-    possible = (
-        (
-            log.left_out,
+    findings = []
+    if log.left_out:
+        findings.append(
             Finding(
                 "rows_left_out",
                 "warning",
                 f"{log.left_out} rows were left out: values that are not finite, or times that do"
                 " not advance; no contact is seen in gaps of more than 0.1 s",
                 Cure("find out why the logger lost them", call="check_recording"),
-            ),
-        ),
-        (
-            not 1.0 / WATCH_OTHER_RATE < rate / thresholds.rate < WATCH_OTHER_RATE,
+            )
+        )
+    rate = np.median(log.rates)
+    if not 1.0 / WATCH_OTHER_RATE < rate / thresholds.rate < WATCH_OTHER_RATE:
+        findings.append(
             Finding(
                 "rate_of_thresholds",
                 "warning",
@@ -148,10 +149,14 @@ def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
                 f" thresholds {thresholds.rate:.4g}; noise differs, so the rate of false alarms"
                 " is not verified",
                 Cure("set the thresholds on recordings of this rate", {"calibrate": "LOG"}),
-            ),
-        ),
-        (
-            faster.size,
+            )
+        )
+    top = np.max(log.tops, axis=0)
+    faster = np.flatnonzero(top > WATCH_FASTER * thresholds.top_speed)
+    if faster.size:
+        worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
+        names = join_names([thresholds.joint_names[k] for k in faster])
+        findings.append(
             Finding(
                 "faster_than_thresholds",
                 "warning",
@@ -160,10 +165,9 @@ def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
                 " may be more frequent",
                 Cure("set the thresholds on motions as fast as those that are watched"),
                 joint=thresholds.joint_names[worst],
-            ),
-        ),
-    )
-    return [finding for holds, finding in possible if holds]
+            )
+        )
+    return findings
 
 
 def predict_error_size(result: IdentificationResult, model: Watched) -> Array:
@@ -190,8 +194,6 @@ def report_model(
     events
         Events of the log.
     """
-    ratio = log.size / np.maximum(expected, np.finfo(float).tiny)
-    worst = int(np.argmax(ratio))
     unlike = float(np.linalg.norm(log.size) / np.linalg.norm(expected)) > WATCH_UNLIKE
     if log.mass is not None and (events or unlike):
         return [
@@ -199,19 +201,23 @@ def report_model(
                 "payload_in_log",
                 "warning",
                 f"a change of mass of {format_plus_minus(*log.mass)} kg at {frame} explains the"
-                " external"
-                " torque of the whole log; contacts show only in addition to it",
+                " external torque of the whole log; contacts show only in addition to it",
                 Cure("identify the payload, and watch the robot with it", call="identify_payload"),
             )
         ]
-    finding = Finding(
-        "model_disagrees",
-        "warning",
-        f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g}"
-        f" {units[worst]} for most of this log, where the model was off by"
-        f" {expected[worst]:.3g} when it was identified; it is not the model of this robot with"
-        " its load, gains and units",
-        Cure("check that log and result belong together, and validate the result on the log"),
-        joint=log.joint_names[worst],
-    )
-    return [finding] if unlike else []
+    if not unlike:
+        return []
+    ratio = log.size / np.maximum(expected, np.finfo(float).tiny)
+    worst = int(np.argmax(ratio))
+    return [
+        Finding(
+            "model_disagrees",
+            "warning",
+            f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g}"
+            f" {units[worst]} for most of this log, where the model was off by"
+            f" {expected[worst]:.3g} when it was identified; it is not the model of this robot"
+            " with its load, gains and units",
+            Cure("check that log and result belong together, and validate the result on the log"),
+            joint=log.joint_names[worst],
+        )
+    ]

@@ -16,7 +16,7 @@ from asbuilt.apps.watch.thresholds import Thresholds
 from asbuilt.arrays import Array
 from asbuilt.codec import FieldError, format_json, make_plain, restore_dataclass
 from asbuilt.errors import ResultError
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, list_warnings
 from asbuilt.tables import (
     Column,
     Shown,
@@ -144,9 +144,7 @@ class WatchedLog:
             "largest": dict(zip(("joint", "time", "ratio"), self.largest, strict=True)),
             "events": [event.as_document() for event in self.events],
             "thresholds": make_plain(thresholds),
-            "warnings": [
-                {"code": finding.code, "message": finding.text} for finding in self.findings
-            ],
+            "warnings": list_warnings(self.findings),
         }
 
     def sentences(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from asbuilt.apps.watch.watch_findings import (
 )
 from asbuilt.apps.watch.watched_log import POINTS, Trace, WatchedLog
 from asbuilt.arrays import Array, Mask
-from asbuilt.description import refuse_free_base
+from asbuilt.description import RobotModel
 from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment import (
     TOO_LITTLE,
@@ -143,14 +143,24 @@ def observe_parts(
         seen = int(np.sum(~_find_valid_rows(tail, velocities=velocities)))
 
 
-def cut_held_out_part(observed: Observed, rule: str) -> Observed:
-    """Return what a rule of `hold_out` holds out of a log."""
-    since = observed.t - observed.t[0]
+def cut_held_out_parts(parts: Sequence[Observed], rule: str) -> list[Observed]:
+    """Return what a rule of `hold_out` holds out of a log, which is observed in one or more parts.
+
+    Time counts from the beginning of the log, not of each part.
+    """
+    begin = parts[0].t[0]
     chosen = parse_rule(rule)
-    if isinstance(chosen, Blocks):
-        block = np.floor(since / chosen.seconds + 1e-9).astype(int)
-        return observed.select(block % chosen.every == chosen.every - 1)
-    return observed.select(since >= (1.0 - chosen.share) * since[-1])
+    held_out = []
+    for part in parts:
+        since = part.t - begin
+        if isinstance(chosen, Blocks):
+            block = np.floor(since / chosen.seconds + 1e-9).astype(int)
+            held = block % chosen.every == chosen.every - 1
+        else:
+            held = since >= (1.0 - chosen.share) * (parts[-1].t[-1] - begin)
+        if np.count_nonzero(held) >= FEWEST:
+            held_out.append(part.select(held))
+    return held_out
 
 
 def _observe_recording(observer: Observer, recording: Recording, *, velocities: bool) -> Observed:
@@ -223,25 +233,14 @@ def watch(
     options = options or WatchOptions()
     report = progress or (lambda what, fraction: None)
     result = result.result
-    refuse_free_base(
-        result.robot,
-        result.model.n_floating,
-        "forces that its feet exert count as external torque; watching one is not possible yet",
-    )
+    _refuse_free_base(result)
     choose_payload_frame(result.model, options.frame)
     log = require_logged(as_recordings(result.model, [recording])[0])
-    quiet = [
-        require_logged(recording) for recording in as_recordings(result.model, calibrate or [])
-    ]
+    quiet = list(map(require_logged, as_recordings(result.model, calibrate or [])))
     if thresholds is None:
         _check_covariance(result)
-    for each in (log, *quiet):
-        check_joints(result, each)
-    if options.checked:
-        report("check", 0.0)
-        for each in (log, *quiet):
-            check_recording(result.model, head_of(each)).raise_errors(but=TOO_LITTLE)
-    robot = result if options.model == "as_built" else result.model
+    report("check", 0.0)
+    _check_logs(result, (log, *quiet), options)
     measured = (
         all(map(uses_logged_velocities, (log, *quiet)))
         if thresholds is None
@@ -251,14 +250,12 @@ def watch(
     findings = report_velocities(log, measured=measured)
     if thresholds is None:
         report("thresholds", 0.0)
-        error = estimate_doubtful_speed(quiet or [log], options.bandwidth, measured=measured)
-        observer = Observer(robot, bandwidth=options.bandwidth, velocity_error=error)
         thresholds, of_thresholds = _choose_thresholds(
-            result, observer, log, quiet, options, measured=measured
+            result, log, quiet, options, measured=measured
         )
         findings += of_thresholds
-    observer = Observer(robot, thresholds=thresholds)
-    return _watch_log(result, observer, thresholds, log, options, findings, measured, report)
+    observer = Observer(_choose_robot(result, options), thresholds=thresholds)
+    return _watch_log(result, observer, log, options, findings, report)
 
 
 def make_stream_observer(
@@ -276,32 +273,44 @@ def make_stream_observer(
         If there are neither: a stream cannot set its own, since what comes is not known.
     """
     options = options or WatchOptions()
-    refuse_free_base(
-        result.robot,
-        result.model.n_floating,
-        "forces that its feet exert count as external torque; watching one is not possible yet",
+    _refuse_free_base(result)
+    if thresholds is None:
+        quiet = list(map(require_logged, as_recordings(result.model, calibrate or [])))
+        if not quiet:
+            raise UsageError(
+                "a stream has no quieter half that could set thresholds",
+                cure=Cure("give recordings without contact", {"calibrate": "LOG"}),
+            )
+        _check_covariance(result)
+        _check_logs(result, quiet, options)
+        measured = all(map(uses_logged_velocities, quiet))
+        thresholds, _ = _choose_thresholds(result, quiet[0], quiet, options, measured=measured)
+    return Observer(_choose_robot(result, options), thresholds=thresholds)
+
+
+def _choose_robot(
+    result: IdentificationResult, options: WatchOptions
+) -> IdentificationResult | RobotModel:
+    return result if options.model == "as_built" else result.model
+
+
+def _refuse_free_base(result: IdentificationResult) -> None:
+    result.model.require_root(
+        "forces that its feet exert count as external torque; watching one is not possible yet"
     )
-    robot = result if options.model == "as_built" else result.model
-    if thresholds is not None:
-        return Observer(robot, thresholds=thresholds)
-    quiet = [
-        require_logged(recording) for recording in as_recordings(result.model, calibrate or [])
-    ]
-    if not quiet:
-        raise UsageError(
-            "a stream has no quieter half that could set thresholds",
-            cure=Cure("give recordings without contact", {"calibrate": "LOG"}),
-        )
-    _check_covariance(result)
-    for each in quiet:
-        check_joints(result, each)
-        if options.checked:
-            check_recording(result.model, head_of(each)).raise_errors(but=TOO_LITTLE)
-    measured = all(map(uses_logged_velocities, quiet))
-    error = estimate_doubtful_speed(quiet, options.bandwidth, measured=measured)
-    observer = Observer(robot, bandwidth=options.bandwidth, velocity_error=error)
-    found, _ = _choose_thresholds(result, observer, quiet[0], quiet, options, measured=measured)
-    return Observer(robot, thresholds=found)
+
+
+def _check_logs(
+    result: IdentificationResult,
+    logs: Sequence[Recording | RecordingStream],
+    options: WatchOptions,
+) -> None:
+    """Raise `RecordingError` for a log of other joints or, if they are checked, with errors."""
+    for log in logs:
+        check_joints(result, log)
+    if options.checked:
+        for log in logs:
+            check_recording(result.model, head_of(log)).raise_errors(but=TOO_LITTLE)
 
 
 def _check_covariance(result: IdentificationResult) -> None:
@@ -324,27 +333,31 @@ def _check_velocities(log: Recording | RecordingStream, *, needed: bool) -> None
 
 def _choose_thresholds(
     result: IdentificationResult,
-    observer: Observer,
     log: Recording | RecordingStream,
     quiet: Sequence[Recording | RecordingStream],
     options: WatchOptions,
     *,
     measured: bool,
 ) -> tuple[Thresholds, list[Finding]]:
+    """Return thresholds set on quiet recordings or, without any, on the log itself."""
+    error = estimate_doubtful_speed(quiet or [log], options.bandwidth, measured=measured)
+    observer = Observer(
+        _choose_robot(result, options), bandwidth=options.bandwidth, velocity_error=error
+    )
     parts: list[Observed] = []
     findings: list[Finding] = []
-    for each in quiet or [log]:
-        trained = is_trained_on(result, each)
-        whole = list(observe_parts(observer, each, velocities=measured))
+    for recording in quiet or [log]:
+        trained = is_trained_on(result, recording)
+        whole = list(observe_parts(observer, recording, velocities=measured))
         if trained and quiet and result.holdout is not None and result.trained is None:
-            whole = [cut_held_out_part(part, result.holdout) for part in whole]
+            whole = cut_held_out_parts(whole, result.holdout)
         elif trained:
             findings.append(
                 Finding(
                     "thresholds_on_training_data",
                     "warning",
-                    f"{each.source} was used to identify the model, so its residuals are smaller"
-                    " than in other motions and false alarms will be more frequent",
+                    f"{recording.source} was used to identify the model, so its residuals are"
+                    " smaller than in other motions and false alarms will be more frequent",
                     Cure("give a recording of another motion without contact"),
                 )
             )
@@ -375,29 +388,20 @@ def _choose_thresholds(
 def _watch_log(
     result: IdentificationResult,
     observer: Observer,
-    thresholds: Thresholds,
     log: Recording | RecordingStream,
     options: WatchOptions,
     findings: list[Finding],
-    measured: bool,
     report: Callable[[str, float], None],
 ) -> WatchedLog:
+    thresholds = observer.limits
     name, link, placement = choose_payload_frame(observer.model, options.frame)
     events: list[Event] = []
     traces: list[Trace] = []
     tally = Tally(observer.model.joint_names, (link, placement), thresholds.filtered)
     report("observe", 0.0)
-    for observed in observe_parts(observer, log, velocities=measured):
+    for observed in observe_parts(observer, log, velocities=not thresholds.filtered):
         scale, limit = thresholds.of_log(observed, observer.model_error)
-        events += find_events(
-            observer,
-            observed,
-            scale,
-            limit,
-            thresholds,
-            tally.tool,
-            apart=thresholds.block_seconds,
-        )
+        events += find_events(observer, observed, scale, limit, tally.tool)
         times = np.broadcast_to(observed.t[:, None], limit.shape)
         traces.append(Trace(times, observed.residual, limit).thinned(POINTS))
         tally.add(observer, observed, scale, limit)

@@ -22,6 +22,7 @@ from asbuilt.ranges import Range, make_range_error, option
 from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
+    from asbuilt import StudyOptions
     from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
 
@@ -228,6 +229,12 @@ class Filtering:
             else parse_positive_number("--max-gap", str(self.max_gap)),
             delay=chain.delay if self.delay is None else parse_delay(self.delay),
         )
+
+    def applied_to(self, options: StudyOptions) -> StudyOptions:
+        """Return options of a study with this signal chain, whose cutoff "auto" is swept."""
+        swept = self.cutoff == "auto"
+        chain = replace(self, cutoff=None if swept else self.cutoff).chain()
+        return replace(options, chain=chain, sweep_cutoff=swept)
 
 
 def parse_delay(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:

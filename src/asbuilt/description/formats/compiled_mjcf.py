@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
@@ -13,7 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, parse_xml
 from asbuilt.description.model import ROOT, Joint, Loop, Mimic
 from asbuilt.description.rotation import (
@@ -39,23 +40,66 @@ def collect_warnings(mujoco: ModuleType) -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(previous)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Actuators:
     """Read the actuators of a compiled `model` by joint; `mujoco` is the module."""
 
     mujoco: ModuleType
     model: Any
 
+    @cached_property
+    def joints(self) -> Indices:
+        """Joint on which each actuator acts, -1 where it acts on something else."""
+        kinds = self.mujoco.mjtTrn
+        # Alike but for balls.
+        own = (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))
+        at_joints = np.isin(self.model.actuator_trntype, own)
+        return np.where(at_joints, self.model.actuator_trnid[:, 0], -1)
+
+    @cached_property
+    def gear(self) -> Array:
+        """Turns of each actuator per turn of its joint."""
+        return np.array(self.model.actuator_gear[:, 0])
+
+    @cached_property
+    def constant(self) -> Array:
+        """Part of the force of each actuator that depends on nothing."""
+        affine = self.model.actuator_biastype == self.mujoco.mjtBias.mjBIAS_AFFINE
+        return np.where(affine, self.model.actuator_biasprm[:, 0], 0.0)
+
+    @cached_property
+    def is_motor(self) -> Mask:
+        """Whether the torque of each actuator is its control times a factor, and a constant."""
+        m = self.model
+        kinds = self.mujoco.mjtBias
+        affine = m.actuator_biastype == kinds.mjBIAS_AFFINE
+        constant = affine & ~np.any(m.actuator_biasprm[:, 1:3], axis=1)
+        found: Mask = self._has_fixed_gain & ((m.actuator_biastype == kinds.mjBIAS_NONE) | constant)
+        return found
+
+    @cached_property
+    def is_servo(self) -> Mask:
+        """Whether each actuator controls the position of its joint."""
+        m = self.model
+        gain = m.actuator_gainprm[:, 0]
+        affine = m.actuator_biastype == self.mujoco.mjtBias.mjBIAS_AFFINE
+        opposed = (gain > 0.0) & (m.actuator_biasprm[:, 1] == -gain)
+        found: Mask = self._has_fixed_gain & affine & opposed
+        return found
+
+    @property
+    def _has_fixed_gain(self) -> Mask:
+        fixed: Mask = self.model.actuator_gaintype == self.mujoco.mjtGain.mjGAIN_FIXED
+        return fixed
+
+    @property
+    def is_read(self) -> Mask:
+        """Whether each actuator is a motor or a servo of a joint."""
+        return (self.joints >= 0) & (self.is_motor | self.is_servo)
+
     def of(self, joint: int) -> list[int]:
         """Return the actuators that act on a joint."""
-        m = self.model
-        kinds = self.mujoco.mjtTrn
-        own = (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))  # alike but for balls
-        return [
-            actuator
-            for actuator in range(len(m.actuator_trntype))
-            if m.actuator_trntype[actuator] in own and m.actuator_trnid[actuator, 0] == joint
-        ]
+        return np.flatnonzero(self.joints == joint).tolist()
 
     def torque_limit(self, joint: int) -> float:
         """Return the largest torque [N m or N] of the actuators of a joint, infinite without.
@@ -63,15 +107,15 @@ class Actuators:
         It is limited by the range of their force and, of motors, of their control.
         """
         m = self.model
-        found = np.inf
-        for actuator in self.of(joint):
-            gear = abs(float(m.actuator_gear[actuator, 0]))
-            if m.actuator_forcelimited[actuator]:
-                found = min(found, self._read_force_limit(actuator) * gear)
-            if m.actuator_ctrllimited[actuator] and self.is_motor(actuator):
-                most = float(np.abs(m.actuator_ctrlrange[actuator]).max())
-                found = min(found, abs(float(m.actuator_gainprm[actuator, 0])) * most * gear)
-        return found
+        limits = [np.inf]
+        for k in self.of(joint):
+            gear = abs(float(self.gear[k]))
+            if m.actuator_forcelimited[k]:
+                limits.append(self._read_force_limit(k) * gear)
+            if m.actuator_ctrllimited[k] and self.is_motor[k]:
+                most = float(np.abs(m.actuator_ctrlrange[k]).max())
+                limits.append(abs(float(m.actuator_gainprm[k, 0])) * most * gear)
+        return min(limits)
 
     def _read_force_limit(self, actuator: int) -> float:
         """Return the largest force of an actuator.
@@ -80,101 +124,56 @@ class Actuators:
         the constant, as exports write it, limits what acts beside the constant.
         """
         low, high = self.model.actuator_forcerange[actuator]
-        constant = self._read_constant(actuator)
-        half = 0.5 * float(high - low)
+        constant = self.constant[actuator]
         if constant != 0.0 and np.isclose(0.5 * (low + high), constant, rtol=1e-9, atol=1e-9):
-            return half
+            return 0.5 * float(high - low)
         return float(max(abs(low), abs(high)))
 
     def own(self, joint: int, quantity: Literal["armature", "damping"]) -> float:
         """Return armature or damping of the actuators of a joint, on its side of the gear."""
         # Actuators of older versions of MuJoCo have none.
-        values = getattr(
-            self.model, f"actuator_{quantity}", np.zeros(len(self.model.actuator_trntype))
-        )
-        gear = self.model.actuator_gear
-        return float(sum(np.ravel(values[k])[0] * gear[k, 0] ** 2 for k in self.of(joint)))
+        values = getattr(self.model, f"actuator_{quantity}", np.zeros(len(self.gear)))
+        return float(sum(np.ravel(values[k])[0] * self.gear[k] ** 2 for k in self.of(joint)))
 
     def gains(self, joint: int) -> tuple[float | None, float | None]:
         """Return kp and kd of the position servo of a joint, on its side of the gear."""
-        m = self.model
-        for actuator in filter(self.is_servo, self.of(joint)):
-            gear = float(m.actuator_gear[actuator, 0])
-            gain = m.actuator_gainprm[actuator]
-            bias = m.actuator_biasprm[actuator]
-            return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
-        return None, None
+        servo = next((k for k in self.of(joint) if self.is_servo[k]), None)
+        if servo is None:
+            return None, None
+        by_gear = float(self.gear[servo]) ** 2
+        stiffness = float(self.model.actuator_gainprm[servo, 0])
+        return stiffness * by_gear, float(-self.model.actuator_biasprm[servo, 2]) * by_gear
 
     def offset(self, joint: int) -> float | None:
         """Return the torque that the drive of a joint lacks at rest, None if there is none."""
-        m = self.model
-        held = [k for k in self.of(joint) if self.is_motor(k) or self.is_servo(k)]
-        return -sum(self._read_constant(k) * float(m.actuator_gear[k, 0]) for k in held) or None
-
-    def _read_constant(self, actuator: int) -> float:
-        """Return the part of an actuator's force that depends on nothing."""
-        m = self.model
-        kinds = self.mujoco
-        affine = m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
-        return float(m.actuator_biasprm[actuator, 0]) if affine else 0.0
-
-    def is_motor(self, actuator: int) -> bool:
-        """Whether the torque of an actuator is its control times a factor, and a constant."""
-        m = self.model
-        kinds = self.mujoco
-        bias = m.actuator_biastype[actuator]
-        constant = bias == kinds.mjtBias.mjBIAS_AFFINE and not np.any(
-            m.actuator_biasprm[actuator, 1:3]
-        )
-        return bool(
-            m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
-            and (bias == kinds.mjtBias.mjBIAS_NONE or constant)
-        )
-
-    def is_servo(self, actuator: int) -> bool:
-        """Whether an actuator controls the position of its joint."""
-        m = self.model
-        kinds = self.mujoco
-        gain = m.actuator_gainprm[actuator]
-        bias = m.actuator_biasprm[actuator]
-        return bool(
-            m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
-            and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
-            and gain[0] > 0.0
-            and bias[1] == -gain[0]
-        )
+        held = [k for k in self.of(joint) if self.is_read[k]]
+        return -sum(float(self.constant[k]) * float(self.gear[k]) for k in held) or None
 
     def notes(self) -> Iterator[str]:
         """Yield what a robot model does not hold of the actuators."""
         m = self.model
-        at_joints = {actuator for joint in range(m.njnt) for actuator in self.of(joint)}
-        held = [k for k in sorted(at_joints) if self.is_motor(k) or self.is_servo(k)]
-        direct = [k for k in sorted(at_joints) if self._is_dc_motor(k)]
-        left = sorted(set(range(len(m.actuator_trntype))) - {*held, *direct})
-        late = [k for k in held if m.actuator_dyntype[k] != self.mujoco.mjtDyn.mjDYN_NONE]
+        # Other versions of MuJoCo have no such actuator.
+        dc_motor = getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", None)
+        direct = (self.joints >= 0) & (m.actuator_biastype == dc_motor)
+        late = self.is_read & (m.actuator_dyntype != self.mujoco.mjtDyn.mjDYN_NONE)
         for some, note in (
-            (left, "left out; motors and position actuators of joints are read"),
+            (~self.is_read & ~direct, "left out; motors and position actuators of joints are read"),
             (late, "taken to act at once; their dynamics are left out"),
         ):
-            if some:
-                yield f"the actuators {', '.join(map(self._name, some))} are {note}"
-        for k in direct:
+            if some.any():
+                yield f"the actuators {self._join_names(np.flatnonzero(some).tolist())} are {note}"
+        for k in np.flatnonzero(direct).tolist():
             yield (
-                f"of the dcmotor {self._name(k)} armature, damping and limit of torque are read;"
-                f" left out: {', '.join(self._list_unread(k))}"
+                f"of the dcmotor {self._join_names([k])} armature, damping and limit of torque are"
+                f" read; left out: {', '.join(self._list_unread(k))}"
             )
         for joint in range(m.njnt):
-            several = [k for k in self.of(joint) if k in held]
+            several = [k for k in self.of(joint) if self.is_read[k]]
             if len(several) > 1:
                 yield (
-                    f"the actuators {', '.join(map(self._name, several))} act on one joint: the"
-                    " gains of the first servo and the least limit count"
+                    f"the actuators {self._join_names(several)} act on one joint: the gains of the"
+                    " first servo and the least limit count"
                 )
-
-    def _is_dc_motor(self, actuator: int) -> bool:
-        # Other versions of MuJoCo have no such actuator.
-        kind = getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", None)
-        return kind is not None and bool(self.model.actuator_biastype[actuator] == kind)
 
     def _list_unread(self, actuator: int) -> list[str]:
         """Return what a model does not hold of a dcmotor, by MuJoCo's compiled parameters."""
@@ -190,9 +189,8 @@ class Actuators:
         }
         return ["voltage and back-EMF", *(what for what, is_there in there.items() if is_there)]
 
-    def _name(self, actuator: int) -> str:
-        kind = self.mujoco.mjtObj.mjOBJ_ACTUATOR
-        return self.mujoco.mj_id2name(self.model, kind, actuator) or f"actuator_{actuator}"
+    def _join_names(self, actuators: Iterable[int]) -> str:
+        return ", ".join(self.model.actuator(k).name or f"actuator_{k}" for k in actuators)
 
 
 Equation = tuple[dict[int, float], float]
@@ -258,11 +256,7 @@ def _find_follower(
     mujoco: Any, m: Any, joints: Sequence[Joint], k: int, factors: dict[int, float]
 ) -> int | None:
     """Return the joint that follows the others of an equation, None where none can."""
-    driven = {
-        int(m.actuator_trnid[a, 0])
-        for a in range(len(m.actuator_trntype))
-        if m.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
-    }
+    driven = Actuators(mujoco, m).joints
     by_joints = m.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT
     free = [
         j
@@ -303,7 +297,7 @@ def find_loops_by_equalities(
     found = list[Loop]()
     used = list[int]()
     for k in range(m.neq):
-        name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, k) or ""
+        name = m.equality(k).name
         loop = None
         if not m.eq_active0[k]:
             continue
@@ -380,8 +374,7 @@ def with_passive_joints(
     """
     if not m.nu:
         return list(joints)
-    actuators = Actuators(mujoco, m)
-    driven = {k for k in range(len(joints)) if actuators.of(k)}
+    driven = Actuators(mujoco, m).joints
     inside = set[int]()
     for loop in loops:
         if loop.kind == "joint":

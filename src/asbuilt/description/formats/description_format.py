@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.parts import BaseKind
 from asbuilt.registry import Registry
 
 
@@ -23,23 +22,19 @@ class DescriptionFormat:
         Suffixes of its files, in lower case with the dot.
     read
         Function that reads a file; raises `DescriptionError` if it makes no sense.
-    read_fixed
-        Function that reads a file with its free joint held at its pose; None where the format has
-        no free joints.
-    read_on_base
-        Function that reads a file with its first body on a free or planar base; None where the
-        format gives that body no mass.
     recognises
         Function that recognises the content of a file, for suffixes that several formats have;
         None where the suffix decides.
+    on_bases
+        Whether `read` takes `fixed_base`, to hold a free joint at its pose, and `base`, on which
+        the first body stands; other formats give that body no mass.
     """
 
     title: str
     suffixes: tuple[str, ...]
-    read: Callable[[Path], RobotModel]
+    read: Callable[..., RobotModel]
     recognises: Callable[[bytes], bool] | None = None
-    read_fixed: Callable[[Path], RobotModel] | None = None
-    read_on_base: Callable[[Path, BaseKind], RobotModel] | None = None
+    on_bases: bool = False
 
 
 DESCRIPTION_FORMATS: Registry[DescriptionFormat] = Registry(

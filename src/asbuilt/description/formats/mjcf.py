@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -111,7 +110,7 @@ def read_mjcf(
     unknown = _remove_shapes(root, source)
     held = _remove_free_joints(root) if fixed_base else []
     compiled, warnings = _compile_model(mujoco, root, source)
-    tree = _Tree(mujoco, compiled, source, unknown)
+    tree = _Tree(compiled, Actuators(mujoco, compiled), source, unknown)
     tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     tree.notes.extend(f"the free joint of {body!r} is held at its pose" for body in held)
     for body in range(1, compiled.nbody):
@@ -160,31 +159,25 @@ def read_mjcf(
 
 
 COMPILED = {
-    "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
-    "jnt": ("pos", "axis"),
-    "site": ("pos", "quat"),
+    "body": ("body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
+    "joint": ("jnt_pos", "jnt_axis"),
+    "site": ("site_pos", "site_quat"),
 }
-"""Arrays of a compiled model that become lengths, rotations and masses."""
+"""Arrays of a compiled model that become lengths, rotations and masses, by what has them."""
 
 
-def _check_numbers(mujoco: ModuleType, compiled: Any, source: str) -> None:
+def _check_numbers(compiled: Any, source: str) -> None:
     """Raise `DescriptionError` with place and value for a number that no robot has."""
-    kinds = mujoco.mjtObj
-    objects = {"body": kinds.mjOBJ_BODY, "jnt": kinds.mjOBJ_JOINT, "site": kinds.mjOBJ_SITE}
     for what, arrays in COMPILED.items():
         for array in arrays:
-            values = np.asarray(getattr(compiled, f"{what}_{array}"))
+            values = np.asarray(getattr(compiled, array))
             wrong = np.argwhere(~(np.abs(values) <= LARGEST))  # NaN is in no range
             if wrong.size:
-                name = mujoco.mj_id2name(compiled, objects[what], int(wrong[0, 0])) or "world"
-                value = values[tuple(wrong[0])]
+                name = getattr(compiled, what)(int(wrong[0, 0])).name or "world"
                 raise DescriptionError(
-                    f"{source}: {array} of the {OBJECTS[what]} {name!r} is {value:g}; it must be a"
-                    f" number of at most {LARGEST:g}"
+                    f"{source}: {array.partition('_')[2]} of the {what} {name!r} is"
+                    f" {values[tuple(wrong[0])]:g}; it must be a number of at most {LARGEST:g}"
                 )
-
-
-OBJECTS = {"body": "body", "jnt": "joint", "site": "site"}
 
 
 def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
@@ -205,7 +198,7 @@ def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any,
         raise DescriptionError(
             f"{source}: a number is not finite ({unset}); give it, or leave it out"
         )
-    _check_numbers(mujoco, compiled, source)
+    _check_numbers(compiled, source)
     return compiled, warnings
 
 
@@ -343,8 +336,8 @@ class _Tree:
     `carrier[b]` and `pose[b]` place body b in a moving link (ROOT: the world).
     """
 
-    mujoco: ModuleType
     model: Any
+    actuators: Actuators
     source: str
     unknown: Mapping[str, float]
     joints: list[Joint] = field(default_factory=list)
@@ -363,17 +356,9 @@ class _Tree:
             for body, link in self.carrier.items()
         }
 
-    @property
-    def actuators(self) -> Actuators:
-        """The actuators."""
-        return Actuators(self.mujoco, self.model)
-
-    def name(self, kind: int, index: int, fallback: str) -> str:
-        return self.mujoco.mj_id2name(self.model, kind, index) or f"{fallback}_{index}"
-
     def add(self, body: int) -> None:
         m = self.model
-        name = self.name(self.mujoco.mjtObj.mjOBJ_BODY, body, "body")
+        name = m.body(body).name or f"body_{body}"
         parent = int(m.body_parentid[body])
         carrier = self.carrier[parent]
         pose = compose_placements(
@@ -409,7 +394,7 @@ class _Tree:
 
     def joint(self, index: int, body: str, parent: int, pose: Array) -> Joint:
         m = self.model
-        name = self.name(self.mujoco.mjtObj.mjOBJ_JOINT, index, "joint")
+        name = m.joint(index).name or f"joint_{index}"
         kind = int(m.jnt_type[index])
         if kind in (FREE, BALL):
             what = "free" if kind == FREE else "ball"
@@ -493,7 +478,7 @@ class _Tree:
     def add_sites(self) -> None:
         taken = {*self.names, *(frame.name for frame in self.frames)}
         for site in range(self.model.nsite):
-            name = self.mujoco.mj_id2name(self.model, self.mujoco.mjtObj.mjOBJ_SITE, site)
+            name = self.model.site(site).name
             if name and name not in taken:
                 body = int(self.model.site_bodyid[site])
                 own = self.placed(
@@ -515,7 +500,6 @@ DESCRIPTION_FORMATS.register(
         (".mjcf", ".xml"),
         read_mjcf,
         lambda content: find_outermost_tag(content) == "mujoco",
-        read_fixed=partial(read_mjcf, fixed_base=True),
-        read_on_base=lambda path, base: read_mjcf(path, base=base),
+        on_bases=True,
     ),
 )

@@ -384,7 +384,7 @@ def _add_axis(
             number = _parse_limit(value.text, f"{place}: <{key}>")
             if number is not None and not (key in ("effort", "velocity") and number < 0.0):
                 bounds[key] = repr(number)
-    if kind == "revolute" and not {"lower", "upper"} <= set(bounds):
+    if kind == "revolute" and bounds.keys().isdisjoint(("lower", "upper")):
         written.set("type", "continuous")
     if bounds:
         SubElement(written, "limit", bounds)
@@ -431,13 +431,10 @@ def _add_mimic(written: Element, axis: Element, place: str) -> None:
 
 def _parse_limit(text: str | None, what: str) -> float | None:
     """Return a limit, None where SDF states that there is none."""
-    if (text or "").strip().lstrip("+-").lower() in ("inf", "infinity"):
-        return None
     with suppress(ValueError):
         if abs(float(text or "")) >= UNLIMITED:
             return None
-    value = parse_finite_number((text or "").strip(), what)
-    return None if abs(value) >= UNLIMITED else value
+    return parse_finite_number((text or "").strip(), what)
 
 
 def _connect(

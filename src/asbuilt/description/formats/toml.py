@@ -235,7 +235,9 @@ def _build_model(file: RobotFile, source: str) -> RobotModel:
             else reading.dh_joint(link, link.dh, i, parent)
         )
         if link.mimic is not None:
-            joint = replace(joint, mimic=_read_mimic(link, file))
+            follows = link.mimic
+            mimic = Mimic.of(joint.name, follows.joint, follows.multiplier, follows.offset)
+            joint = replace(joint, mimic=mimic)
         joints.append(joint)
     frames = []
     for frame in file.frames:
@@ -407,17 +409,6 @@ def _read_posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
     }
 
 
-def _read_mimic(link: LinkTable, file: RobotFile) -> Mimic:
-    assert link.mimic is not None
-    names = [link.joint or f"joint_{i + 1}" for i, link in enumerate(file.links)]
-    if link.mimic.joint not in names:
-        raise DescriptionError(
-            f"mimic of link {link.name!r} names joint {link.mimic.joint!r}, which does not exist;"
-            f" the joints are {', '.join(names)}"
-        )
-    return Mimic({link.mimic.joint: link.mimic.multiplier}, link.mimic.offset)
-
-
 def _build_motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
     drives = [table for table in file.couplings if table.motor is not None]
     if not drives:
@@ -437,9 +428,8 @@ def _build_motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
 
 def _make_link(link: LinkTable) -> Link:
     if link.parts:
-        parts = tuple((part.name, part.inertia or LinkInertia.zero()) for part in link.parts)
-        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
-        return Link(name=link.name, inertia=total, parts=parts)
+        parts = [(part.name, part.inertia or LinkInertia.zero()) for part in link.parts]
+        return Link.of_parts(link.name, parts)
     inertia = link.inertia
     return Link(
         name=link.name,

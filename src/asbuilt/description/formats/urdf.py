@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -137,7 +136,7 @@ def read_urdf(
             f"{source}: no joint moves (revolute, continuous or prismatic), so there is nothing to"
             " identify"
         )
-    _check_mimics(tree.joints, connections, source, notes)
+    _drop_fixed_mimics(tree.joints, connections, notes)
     _add_transmissions(tree.joints, root, source, notes)
     links = [
         Link.of_parts(name, parts, known=bool(parts))
@@ -345,34 +344,21 @@ def _read_mimic(connection: _Connection) -> Mimic | None:
         return None
     source = require_attribute(element, "joint", f"{place}, mimic")
     multiplier = read_number(element, "multiplier", place, 1.0)
-    return Mimic({source: multiplier}, read_number(element, "offset", place, 0.0))
+    offset = read_number(element, "offset", place, 0.0)
+    return Mimic.of(connection.name, source, multiplier, offset)
 
 
-def _check_mimics(
-    joints: list[Joint], connections: list[_Connection], source: str, notes: list[str]
+def _drop_fixed_mimics(
+    joints: list[Joint], connections: list[_Connection], notes: list[str]
 ) -> None:
-    """Refuse joints that follow one that is not there, or each other in a circle."""
-    moving = {joint.name: joint for joint in joints}
-    fixed = {connection.name for connection in connections} - moving.keys()
+    """Let joints that follow a fixed one, which stands still, have a motor."""
+    fixed = {connection.name for connection in connections if connection.kind == "fixed"}
     for k, joint in enumerate(joints):
-        if joint.mimic is None:
-            continue
-        place = f"{source}, joint {joint.name!r}"
-        (master,) = joint.mimic.factors
-        seen = {joint.name}
-        while master in moving and moving[master].mimic is not None and master not in seen:
-            seen.add(master)
-            (master,) = moving[master].mimic.factors  # type: ignore[union-attr]
-        if master in seen:
-            raise DescriptionError(f"{place}: the joint mimics itself; name the joint it follows")
-        if master not in moving and master not in fixed:
-            raise DescriptionError(
-                f"{place}: the joint mimics {master!r}, which does not exist"
-                f"{close_match(master, moving)}"
-            )
-        if not joint.mimic.factors.keys().isdisjoint(fixed):
+        if joint.mimic is not None and not fixed.isdisjoint(joint.mimic.factors):
             joints[k] = replace(joint, mimic=None)
-            notes.append(f"{place}: the joint mimics a fixed joint; <mimic> is left out")
+            notes.append(
+                f"joint {joint.name!r}: the joint mimics a fixed joint; <mimic> is left out"
+            )
 
 
 def _read_axis(connection: _Connection, notes: list[str]) -> Array:
@@ -508,7 +494,6 @@ DESCRIPTION_FORMATS.register(
         (".urdf", ".xml"),
         read_urdf,
         lambda content: find_outermost_tag(content) == "robot",
-        read_fixed=partial(read_urdf, fixed_base=True),
-        read_on_base=lambda path, base: read_urdf(path, base=base),
+        on_bases=True,
     ),
 )

@@ -16,6 +16,7 @@ from asbuilt.description.formats.expansion import SECONDS
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.parts import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 from asbuilt.isolation import build_isolated_command, build_isolated_environment
@@ -33,13 +34,16 @@ PROGRAM = (
 )
 
 
-def read_xacro(path: str | Path) -> RobotModel:
+def read_xacro(
+    path: str | Path, *, fixed_base: bool = False, base: BaseKind = "fixed"
+) -> RobotModel:
     """Expand a xacro file with its arguments, those given or its defaults, and read the URDF.
 
     Expressions are arithmetic, comparisons, properties, indices and functions of `math`; includes
     and `load_yaml` read descriptions in the folder of the file, or of the package around it, which
-    `$(find NAME)` names. Inside `xacro_trusted` they may be
-    anything that xacro takes, which is any Python, with the environment of this process.
+    `$(find NAME)` names. Inside `allow_xacro_python` they may be anything that xacro takes, which
+    is any Python, with the environment of this process. `fixed_base` and `base` are those of
+    `read_urdf`.
 
     Raises
     ------
@@ -94,7 +98,8 @@ def read_xacro(path: str | Path) -> RobotModel:
             file=str(path),
         )
     with name_file_in_errors(path):
-        return replace(read_urdf(output), source=str(path))
+        robot = read_urdf(output, fixed_base=fixed_base, base=base)
+    return replace(robot, source=str(path))
 
 
 def _find_missing_argument(message: str) -> str:
@@ -107,4 +112,6 @@ def _find_missing_argument(message: str) -> str:
     return found[1] if of_argument else ""
 
 
-DESCRIPTION_FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))
+DESCRIPTION_FORMATS.register(
+    "xacro", DescriptionFormat("xacro", (".xacro",), read_xacro, on_bases=True)
+)

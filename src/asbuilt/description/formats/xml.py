@@ -170,7 +170,7 @@ def read_extents(element: Element, attribute: str, count: int, place: str) -> li
     return values
 
 
-def close_match(name: str, known: Iterable[str]) -> str:
+def close_match(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return `" (did you mean 'link_3'?)"` for the nearest known name, or an empty text."""
-    matches = difflib.get_close_matches(name, list(known), n=1)
+    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f" (did you mean {matches[0]!r}?)" if matches else ""

@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -27,6 +26,9 @@ from asbuilt.description.structure.loops import (
 from asbuilt.description.structure.parts import ROOT, Joint
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.findings import Cure, join_names
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
 
 CLOSED = 1e-4
 """Largest gap of a loop at the first posture, in its size or rad: numbers of four digits."""
@@ -165,7 +167,7 @@ class Closure(JointMap):
 
     def postures(self, q: Array) -> Postures:
         """Return how well the loops close at positions of the motors (N, n)."""
-        motion, quality = self._follow(q, None, None)
+        motion, quality = self._follow(q)
         closed = quality[:, 2] > 0.0
         gap = quality[:, 0].copy()
         distance = np.zeros(len(q))
@@ -208,13 +210,25 @@ class Closure(JointMap):
         known[: q.size] = q
         return np.asarray(known, dtype=np.float64)
 
-    def _follow(self, q: Array, qd: Array | None, qdd: Array | None) -> tuple[TreeMotion, Array]:
-        given = np.ascontiguousarray(q, dtype=np.float64)
-        rates = [
-            np.zeros_like(given) if part is None else np.ascontiguousarray(part)
-            for part in (qd, qdd)
+    def _follow(
+        self, q: Array, qd: Array | None = None, qdd: Array | None = None, *, search: bool = False
+    ) -> tuple[TreeMotion, Array]:
+        """Return the motion for motors (N, n), and how well the loops close (N, 3).
+
+        A search takes the first posture for a guess, from which it may go far.
+        """
+        given = [
+            np.zeros(q.shape) if part is None else np.ascontiguousarray(part, dtype=np.float64)
+            for part in (q, qd, qdd)
         ]
-        return _run(self.arrays, self.scale, self.home, self.tolerance, False, given, *rates)
+        samples, n = q.shape
+        n_tree = self.offset.size
+        at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
+        shares = np.zeros((samples, n_tree, n))
+        quality = np.zeros((samples, 3))
+        out = at, rates, accelerations, shares, quality
+        close_loops(*self.arrays, self.scale, self.home, self.tolerance, search, *given, *out)
+        return TreeMotion(at, rates, accelerations, shares), quality
 
     def _make_error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
@@ -237,47 +251,17 @@ class Closure(JointMap):
         )
 
 
-def _run(
-    arrays: tuple[Array | Indices, ...],
-    scale: Array,
-    home: Array,
-    tolerance: float,
-    search: bool,
-    q: Array,
-    qd: Array,
-    qdd: Array,
-) -> tuple[TreeMotion, Array]:
-    samples, n = q.shape
-    n_tree = arrays[-1].size
-    at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
-    shares = np.zeros((samples, n_tree, n))
-    quality = np.zeros((samples, 3))
-    out = at, rates, accelerations, shares, quality
-    close_loops(*arrays, scale, home, tolerance, search, q, qd, qdd, *out)
-    return TreeMotion(at, rates, accelerations, shares), quality
+def derive_closure(model: RobotModel) -> Closure:
+    """Return how motors move the joints of all links of a robot through its loops.
 
-
-def derive_closure(
-    robot: str,
-    every: Sequence[Joint],
-    n: int,
-    loops: Sequence[Loop],
-    posture: Mapping[str, float],
-    places: Mapping[str, tuple[int, Array]],
-) -> Closure:
-    """Return how motors move the joints of all links, of which the first n have one, through loops.
-
-    `places` has link, `ROOT` for the root, and pose in it of each name; `posture` positions of
-    joints at which the loops are closed, roughly, others being where they usually are. Raises
-    `DescriptionError` where the loops do not close, leave a passive joint free, or are torn by a
-    motor.
+    They are closed at its posture, roughly, joints that it does not name being where they usually
+    are. Raises `DescriptionError` where the loops do not close, leave a passive joint free, or are
+    torn by a motor.
     """
-    found = _open(robot, every, n, loops, posture, places)
+    n = model.n_joints
+    found = _open(model)
     # The first posture is a guess: Newton may go far, and nothing is within a tolerance yet.
-    motion, quality = _run(
-        found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
-        *np.zeros((2, 1, n)),
-    )  # fmt: skip
+    motion, quality = found._follow(found.home[None, :n], search=True)
     at = found._find_coordinates(found.home[:n], motion.q[0])
     _check_closed(found, at, quality[0])
     # Numbers of a description are rounded: their own gap, and some more, is closed.
@@ -285,20 +269,17 @@ def derive_closure(
     return _derive_typical_shares(found)
 
 
-def _open(
-    robot: str,
-    every: Sequence[Joint],
-    n: int,
-    loops: Sequence[Loop],
-    posture: Mapping[str, float],
-    places: Mapping[str, tuple[int, Array]],
-) -> Closure:
+def _open(model: RobotModel) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
-    order, linear, offset = derive_linear_part(robot, every, n)
+    robot = model.name
+    n = model.n_joints
+    every = model.moving_joints
+    posture = model.posture
+    order, linear, offset = derive_linear_part(model)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
     tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
-    in_tree = {name: (place[link], pose) for name, (link, pose) in places.items()}
-    numbers = number_loops(robot, loops, tree, in_tree)
+    in_tree = {name: (place[link], pose) for name, (link, pose) in model.places.items()}
+    numbers = number_loops(robot, model.loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
     known = {joint.name for joint in every} | {joint.name_in_tree for joint in every}
     if unknown := sorted(posture.keys() - known):
@@ -343,7 +324,7 @@ def _open(
         array.setflags(write=False)
     return Closure(
         robot,
-        tuple(loops),
+        model.loops,
         tuple(joint.name for joint in coordinates),
         order,
         linear,
@@ -415,12 +396,12 @@ def _derive_typical_shares(found: Closure) -> Closure:
     rng = np.random.default_rng(SEED)
     around = rng.uniform(-NEAR, NEAR, (EXAMPLES, n)) * found.scale[:n]
     q = np.vstack([found.home[:n], found.home[:n] + around])
-    motion, quality = found._follow(q, None, None)
+    motion, quality = found._follow(q)
     good = quality[:, 2] > 0.0
     if np.count_nonzero(good) < 2:
         # A mechanism with little room closes only next to the first posture.
         small = 1e-3 * around
-        motion, quality = found._follow(found.home[:n] + small, None, None)
+        motion, quality = found._follow(found.home[:n] + small)
         good = quality[:, 2] > 0.0
     _check_motors(found)
     examples = motion.shares[good]
@@ -447,21 +428,14 @@ def _check_motors(found: Closure) -> None:
         )
 
 
-def find_passive_joints(
-    robot: str,
-    every: Sequence[Joint],
-    n: int,
-    loops: Sequence[Loop],
-    posture: Mapping[str, float],
-    places: Mapping[str, tuple[int, Array]],
-) -> list[str]:
+def find_passive_joints(model: RobotModel) -> list[str]:
     """Return joints of loops that have no motor, where the description does not name them.
 
     As many as the loops place: joints without limits of torque and drive first, then those far from
     the root, as long as the loops determine them.
     """
-    found = _open(robot, every, n, loops, posture, places)
-    joints = every[:n]
+    found = _open(model)
+    joints = model.joints
     u = found.home.copy()
     # No joint is known to be passive yet, so that all may move.
     for _ in range(SEARCH):  # Newton with the least motion of all joints

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +20,15 @@ from asbuilt.description.structure.joint_map import JointMap, TreeMotion
 from asbuilt.description.structure.parts import (
     ROOT,
     DriveValues,
-    Frame,
     Joint,
     JointLimits,
     Link,
     Mimic,
 )
 from asbuilt.errors import DescriptionError
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,28 +58,24 @@ class Coupling(JointMap):
         return self.matrix[np.argsort(self.order)]
 
 
-def separate_followers(
-    robot: str,
-    joints: Sequence[Joint],
-    followers: Sequence[Joint],
-    links: Sequence[Link],
-    frames: Sequence[Frame],
-) -> tuple[dict[str, tuple[object, ...]], list[int], list[str]]:
+def separate_followers(model: RobotModel) -> dict[str, object]:
     """Set the joints that follow others apart, with their links after the driven joints' links.
 
-    Returns `joints`, `followers`, `links` and `frames` of the robot in their order, the places
-    among `joints` of the ones that stay, and notes. Armature and friction of a follower
-    of one joint count to that joint, reflected by the factor, and its limits narrow that joint's;
-    a follower of several loses its own. Raises `DescriptionError` for a joint that follows
-    none of the robot, or itself.
+    Returns the fields of the robot that change. Armature and friction of a follower of one joint
+    count to that joint, reflected by the factor, and its limits narrow that joint's; a follower of
+    several loses its own. Raises `DescriptionError` for a joint that follows none of the robot, or
+    itself.
     """
+    robot = model.name
+    joints = model.joints
+    links = model.links
     # A wrong order is said in its own words before anything is moved.
     order_tree(robot, joints, len(joints))
     driven = [k for k, joint in enumerate(joints) if joint.has_motor]
     moved = [k for k, joint in enumerate(joints) if not joint.has_motor]
     order = [*driven, *moved, *range(len(joints), len(links))]
     place = {was: now for now, was in enumerate(order)} | {ROOT: ROOT}
-    every = [*joints, *followers]
+    every = model.moving_joints
     ordered = [replace(every[k], parent=place[every[k].parent]) for k in order]
     active = {joint.name: joint for joint in ordered[: len(driven)]}
     behind = ordered[len(driven) :]
@@ -103,13 +102,28 @@ def separate_followers(
                 f"drive and limits of joint {joint.name!r}, which several others move, are left out"
             )
         behind[k] = replace(joint, drive=DriveValues())
-    parts: dict[str, tuple[object, ...]] = {
+    return {
         "joints": tuple(active.values()),
         "followers": tuple(behind),
         "links": tuple(links[k] for k in order),
-        "frames": tuple(replace(frame, link=place[frame.link]) for frame in frames),
+        "frames": tuple(replace(frame, link=place[frame.link]) for frame in model.frames),
+        "motor_coupling": _drop_followers(model, driven, moved),
+        "notes": (*model.notes, *(note for note in notes if note not in model.notes)),
     }
-    return parts, driven, notes
+
+
+def _drop_followers(model: RobotModel, driven: list[int], moved: list[int]) -> Array | None:
+    """Return the coupling of motors without the joints that have none."""
+    T = None if model.motor_coupling is None else np.asarray(model.motor_coupling)
+    # Of another shape it is refused with that of the robot.
+    if T is None or T.shape != (len(model.joints),) * 2:
+        return T
+    if not np.array_equal(T[moved], np.eye(len(T))[moved]) or np.any(T[np.ix_(driven, moved)]):
+        raise DescriptionError(
+            f"{model.name}: motor_coupling names joint {model.joints[moved[0]].name!r}, which"
+            " follows another and has no motor; leave it out"
+        )
+    return T[np.ix_(driven, driven)]
 
 
 def _note_passive(joint: Joint) -> Iterator[str]:
@@ -203,37 +217,38 @@ def order_tree(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
     return order
 
 
-def derive_coupling(robot: str, joints: Sequence[Joint], followers: Sequence[Joint]) -> Coupling:
+def derive_coupling(model: RobotModel) -> Coupling:
     """Return how the links of a robot move with its coordinates.
 
     Raises `DescriptionError` where some motion of the coordinates moves no link.
     """
-    order, matrix, offset = derive_linear_part(robot, (*joints, *followers), len(joints))
-    names = [joint.name for joint in joints]
-    if np.linalg.matrix_rank(matrix) < len(joints):
+    order, matrix, offset = derive_linear_part(model)
+    names = model.joint_names
+    if np.linalg.matrix_rank(matrix) < len(names):
         still = np.linalg.svd(matrix)[2][-1]
         held = sorted(name for name, share in zip(names, still, strict=True) if abs(share) > 1e-6)
         raise DescriptionError(
-            f"{robot}: the couplings are contradictory: some motion of {', '.join(held)} moves no"
-            " link; every motor must move a joint in a way of its own"
+            f"{model.name}: the couplings are contradictory: some motion of {', '.join(held)} moves"
+            " no link; every motor must move a joint in a way of its own"
         )
     for array in (order, matrix, offset):
         array.setflags(write=False)
     return Coupling(order, matrix, offset)
 
 
-def derive_linear_part(robot: str, every: Sequence[Joint], n: int) -> tuple[Indices, Array, Array]:
-    """Return order, matrix and offset of the joints of all links, of which n have a motor.
+def derive_linear_part(model: RobotModel) -> tuple[Indices, Array, Array]:
+    """Return order, matrix and offset of the joints of all links.
 
     The columns of the matrix are motors, then passive joints.
     """
-    coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
+    every = model.moving_joints
+    coordinates = [*model.joints, *(joint for joint in model.followers if joint.is_passive)]
     names = {joint.name: k for k, joint in enumerate(coordinates)}
-    order = np.array(order_tree(robot, every, n), dtype=np.int64)
+    order = np.array(model.link_order, dtype=np.int64)
     matrix = np.zeros((len(every), len(names)))
     offset = np.zeros(len(every))
     for i, link in enumerate(order.tolist()):
-        factors, offset[i] = resolve_coupling(robot, every[link], every)
+        factors, offset[i] = resolve_coupling(model.name, every[link], every)
         for name, factor in factors.items():
             matrix[i, names[name]] = factor
     return order, matrix, offset
@@ -367,22 +382,21 @@ def _match_motors(motors: Mapping[str, object], moved: Mapping[str, Mimic]) -> d
     return at
 
 
-def with_rotors(
-    joints: Sequence[Joint],
-    followers: Sequence[Joint],
-    links: Sequence[Link],
-    frames: Sequence[Frame],
-) -> tuple[tuple[Joint, ...], tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
-    """Return parts of a robot in which every coordinate is a joint of its own.
+def with_rotors(model: RobotModel) -> RobotModel:
+    """Return a robot in which every coordinate is a joint of its own.
 
     A motor that is no joint gets a rotor without weight on the root, and the joint that had its
     coordinate follows, as other programs need it.
     """
+    joints = model.joints
+    links = model.links
     moved = [k for k, joint in enumerate(joints) if joint.mimic is not None]
+    if not moved:
+        return model
     new = {k: len(links) + i for i, k in enumerate(moved)}
     # Bodies move behind all others; rotors take their places.
     place = {link: new.get(link, link) for link in range(len(links))} | {ROOT: ROOT}
-    taken = {joint.name_in_tree for joint in (*joints, *followers)}
+    taken = {joint.name_in_tree for joint in model.moving_joints}
     behind = []
     for k in moved:
         mimic = joints[k].mimic
@@ -402,15 +416,21 @@ def with_rotors(
                 drive=DriveValues(),
             )
         )
-    return (
-        tuple(
+    shares = model.motor_shares
+    turning = np.where(np.any(shares, axis=1)[:, None], shares, np.eye(model.n_joints))
+    return replace(
+        model,
+        joints=tuple(
             replace(joint, parent=ROOT, before=np.eye(4), after=np.eye(4), mimic=None)
             if k in new
             else replace(joint, parent=place[joint.parent])
             for k, joint in enumerate(joints)
         ),
-        (*(replace(joint, parent=place[joint.parent]) for joint in followers), *behind),
-        (
+        followers=(
+            *(replace(joint, parent=place[joint.parent]) for joint in model.followers),
+            *behind,
+        ),
+        links=(
             *(
                 Link(f"rotor of {joints[k].name}", LinkInertia.zero(), negligible=True)
                 if k in new
@@ -419,5 +439,6 @@ def with_rotors(
             ),
             *(links[k] for k in moved),
         ),
-        tuple(replace(frame, link=place[frame.link]) for frame in frames),
+        frames=tuple(replace(frame, link=place[frame.link]) for frame in model.frames),
+        motor_coupling=turning if shares.any() else None,
     )

@@ -13,8 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.parts import BaseKind, Joint, Link
-from asbuilt.errors import DescriptionError, UsageError
-from asbuilt.findings import Cure
+from asbuilt.errors import DescriptionError
 
 AXES = {
     "base_x": ("prismatic", "1 0 0"),
@@ -33,21 +32,18 @@ JOINTS_OF: dict[BaseKind, tuple[str, ...]] = {
 WORLD = "world"
 
 
-def classify_base(n_floating: int) -> BaseKind:
-    """Return the kind of a base with so many coordinates."""
-    return next(kind for kind, names in JOINTS_OF.items() if len(names) == n_floating)
-
-
-def count_base_joints(joints: Sequence[Joint], links: Sequence[Link]) -> int:
-    """Return how many of the first joints belong to a free base: 6, 3, or 0 on a fixed root."""
+def classify_base(joints: Sequence[Joint], links: Sequence[Link]) -> BaseKind:
+    """Return how the base can move to which the first joints belong."""
     # Six first: a planar base has the names of three of them.
-    for names in (JOINTS_OF["free"], JOINTS_OF["planar"]):
+    kinds: tuple[BaseKind, ...] = ("free", "planar")
+    for kind in kinds:
+        names = JOINTS_OF[kind]
         between = links[: len(names) - 1]
         if tuple(joint.name for joint in joints[: len(names)]) == names and all(
             link.negligible for link in between
         ):
-            return len(names)
-    return 0
+            return kind
+    return "fixed"
 
 
 def clear_base_inertias(
@@ -169,29 +165,3 @@ def _carries_mass(root: Element, top: str) -> bool:
             if parent is not None and child is not None and parent.get("link") in held:
                 held.add(child.get("link", ""))
     return bool(held & inertial)
-
-
-def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
-    """Raise `UsageError` where a robot with a free base is asked for what needs a fixed root."""
-    if n_floating:
-        raise UsageError(
-            f"{robot} has a free base, and {what}",
-            cure=Cure(
-                "hold its base, if it hangs or stands clamped", settings={"fixed_base": True}
-            ),
-        )
-
-
-def refuse_ground(robot: str, contacts: Sequence[object]) -> None:
-    """Raise `UsageError` where a robot with contacts shall be refined by trajectories.
-
-    A refinement follows how trajectories depend on parameters, which jumps where feet strike.
-    """
-    if contacts:
-        raise UsageError(
-            f"{robot} touches the ground, and a refinement by trajectories simulates none, since"
-            " how they depend on the parameters jumps where feet strike",
-            cure=Cure(
-                "leave the refinement out, and compare rollouts", {"rollout": "0.05,0.1,0.2"}
-            ),
-        )

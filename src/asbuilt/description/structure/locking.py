@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import compose_placements
+from asbuilt.description.structure.joint_map import OneToOne
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
 
 
 def choose_usual_position(limits: JointLimits) -> float:
@@ -59,7 +63,50 @@ def locks_from_text(text: str) -> dict[str, float | None]:
     return found
 
 
-def merge_locked_links(
+def lock_joints(
+    model: RobotModel, joints: Mapping[str, float | None] | Iterable[str]
+) -> RobotModel:
+    """Return the robot with some joints held still, as `RobotModel.locked` says."""
+    present, links, frames = model.in_tree_order()
+    values, after, places = _derive_locked_positions(model, present, joints)
+    if not values:
+        return model
+    kept, carriers, named = _merge_locked_links(after, links, frames, places)
+    names = {link.name for link in carriers}
+    return replace(
+        model,
+        joints=kept,
+        links=carriers,
+        frames=named,
+        followers=(),
+        posture={name: q for name, q in model.posture.items() if name not in values},
+        motor_coupling=_drop_locked_motors(model, values),
+        locked_joints={**model.locked_joints, **values},
+        held_followers=_find_held_followers(present, model.held_followers, values),
+        assumed_carriers=(
+            *model.assumed_carriers,
+            *_find_assumed_carriers(present, joints, values, places),
+        ),
+        usual_drive="",
+        mass_ranges=tuple(known for known in model.mass_ranges if {*known.links} <= names),
+    )
+
+
+def _drop_locked_motors(model: RobotModel, values: Mapping[str, float]) -> Array | None:
+    """Return the coupling of the motors that are not locked, None where each turns alone."""
+    if model.motor_coupling is None:
+        return None
+    free = [k for k, name in enumerate(model.joint_names) if name not in values]
+    coupling = model.motor_coupling[np.ix_(free, free)]
+    if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(model.joint_map, OneToOne):
+        raise DescriptionError(
+            f"{model.name}: with {', '.join(values)} locked, the coupled motors of the other"
+            " joints do not turn with these alone; lock the joints coupled to them too"
+        )
+    return None if np.array_equal(coupling, np.eye(len(free))) else coupling
+
+
+def _merge_locked_links(
     joints: Sequence[Joint],
     links: Sequence[Link],
     frames: Sequence[Frame],
@@ -105,7 +152,7 @@ def merge_locked_links(
     return tuple(kept), tuple(carriers), tuple(named)
 
 
-def find_held_followers(
+def _find_held_followers(
     present: Sequence[Joint], before: Mapping[str, str], values: Mapping[str, float]
 ) -> dict[str, str]:
     """Return the locked joints that follow one which stays, with that joint.
@@ -121,18 +168,17 @@ def find_held_followers(
     return {name: source for name, source in found.items() if source in moving}
 
 
-def find_assumed_carriers(
+def _find_assumed_carriers(
     present: Sequence[Joint],
-    before: Sequence[str],
     joints: Mapping[str, float | None] | Iterable[str],
     values: Mapping[str, float],
     places: Mapping[str, float],
 ) -> tuple[str, ...]:
     """Return the locked joints on which the pose of a moving one depends, and that nobody gave.
 
-    They carry it, or move it with others. `before` are those known already, `joints` the ones
-    asked for, `values` those locked now, `places` where joints stand that are held. The weight of
-    all that a joint carries turns with its position: at 0 it is a guess.
+    They carry it, or move it with others. `joints` are the ones asked for, `values` those locked
+    now, `places` where joints stand that are held. The weight of all that a joint carries turns
+    with its position: at 0 it is a guess.
     """
     given = joints if isinstance(joints, Mapping) else {}
     carry: set[str] = set()
@@ -148,65 +194,53 @@ def find_assumed_carriers(
         for joint in present
         if joint.name in values and given.get(joint.name) is None and joint.has_motor
     ]
-    return (*before, *(name for name in guessed if name in carry))
+    return tuple(name for name in guessed if name in carry)
 
 
-def report_locks(
-    locked: Mapping[str, float],
-    followers: Mapping[str, str] | None = None,
-    carriers: Sequence[str] = (),
-) -> tuple[Finding, ...]:
-    """Return a finding that names the locked joints with their positions.
+def report_locks(model: RobotModel) -> Iterator[Finding]:
+    """Yield a finding that names the locked joints with their positions.
 
-    It is a warning where some of them (`carriers`) carry joints that move, at positions that are
-    assumed. Another one names those that follow (`followers`) a joint which moves.
+    It is a warning where some of them carry joints that move, at positions that are assumed.
+    Another one names those that follow a joint which moves.
     """
-    if not locked:
-        return ()
-    coupled = [f"{name} follows {source}" for name, source in (followers or {}).items()]
-    held_still = (
-        Finding(
-            "follower_held",
-            "warning",
-            f"{join_names(coupled)}, but is held still: the inertia, weight and friction of what it"
-            " moves are missing from the torque of the joint that it follows",
-            Cure("do not trust that joint's parameters, or record with it at rest and lock it"),
-        ),
-    )
-    held = [f"{name} at {value:.4g}" for name, value in locked.items()]
-    names = ",".join(f"{name}=VALUE" for name in locked)
-    several = len(held) > 1
+    held = [f"{name} at {value:.4g}" for name, value in model.locked_joints.items()]
+    carriers = model.assumed_carriers
     guess = (
         f"; {join_names(carriers)} carr{'y' if len(carriers) > 1 else 'ies'} joints that move, so"
-        " that"
-        " their torques are wrong if this position is"
+        " that their torques are wrong if this position is"
         if carriers
         else ""
     )
-    return (
-        Finding(
+    several = len(held) > 1
+    if held:
+        yield Finding(
             "joints_locked",
             "warning" if carriers else "info",
             f"joints are locked that the recording lacks or that were named: {join_names(held)};"
-            " their"
-            f" links count to those that carry them{guess}"
+            f" their links count to those that carry them{guess}"
             if several
             else f"joint {held[0]} is locked, since the recording lacks it or it was named; its"
             f" link counts to the one that carries it{guess}",
             Cure(
                 f"if {'they' if several else 'it'} stood elsewhere, give the"
                 f" position{'s' if several else ''}",
-                {"lock": names},
+                {"lock": ",".join(f"{name}=VALUE" for name in model.locked_joints)},
             ),
-        ),
-        *(held_still if coupled else ()),
-    )
+        )
+    if model.held_followers:
+        coupled = [f"{name} follows {source}" for name, source in model.held_followers.items()]
+        yield Finding(
+            "follower_held",
+            "warning",
+            f"{join_names(coupled)}, but is held still: the inertia, weight and friction of what it"
+            " moves are missing from the torque of the joint that it follows",
+            Cure("do not trust that joint's parameters, or record with it at rest and lock it"),
+        )
 
 
-def derive_locked_positions(
-    robot: str,
+def _derive_locked_positions(
+    model: RobotModel,
     present: Sequence[Joint],
-    locked: Mapping[str, float],
     joints: Mapping[str, float | None] | Iterable[str],
 ) -> tuple[dict[str, float], tuple[Joint, ...], dict[str, float]]:
     """Return the positions of all that is locked, the joints then, and where those held stand.
@@ -214,6 +248,8 @@ def derive_locked_positions(
     A joint is held if what moves it is locked, all of it; a joint of which a part is locked follows
     the rest.
     """
+    robot = model.name
+    locked = model.locked_joints
     asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     by_name = {joint.name: joint for joint in present}
     unknown = next((name for name in asked if name not in by_name and name not in locked), None)
@@ -333,5 +369,4 @@ def _join_parts(carrier: Link, link: Link, pose: Array) -> Link:
     )
     more = link.parts or ((link.name, link.inertia),)
     parts = (*known_parts, *((name, inertia.moved(pose)) for name, inertia in more))
-    total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
-    return replace(carrier, inertia=total, inertia_known=True, parts=parts)
+    return replace(Link.of_parts(carrier.name, parts), negligible=carrier.negligible)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.codec import store_as
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import check_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
@@ -31,6 +32,8 @@ PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that a description states by themselves; all others are further terms."""
 ROOT = -1
 """Parent index of a joint that hangs on the root link."""
+UNLIMITED = store_as(missing=np.inf)
+"""How an upper limit is stored that may be infinite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +45,12 @@ class JointLimits:
     Raises `DescriptionError` where they leave no position, or a limit is negative or not a number.
     """
 
-    lower: float = -np.inf
-    upper: float = np.inf
-    velocity: float = np.inf
-    acceleration: float = np.inf
-    jerk: float = np.inf
-    torque: float = np.inf
+    lower: float = field(default=-np.inf, metadata=store_as(missing=-np.inf))
+    upper: float = field(default=np.inf, metadata=UNLIMITED)
+    velocity: float = field(default=np.inf, metadata=UNLIMITED)
+    acceleration: float = field(default=np.inf, metadata=UNLIMITED)
+    jerk: float = field(default=np.inf, metadata=UNLIMITED)
+    torque: float = field(default=np.inf, metadata=UNLIMITED)
 
     def __post_init__(self) -> None:
         # NaN fails every comparison, and is refused as well.
@@ -119,6 +122,14 @@ class Mimic:
     factors: Mapping[str, float] = field(hash=False)
     offset: float = 0.0
     joint: str = ""
+
+    @classmethod
+    def of(cls, joint: str, other: str, multiplier: float, offset: float) -> Mimic:
+        """Return how a joint follows another; raises `DescriptionError` where it is no other."""
+        if joint == other:
+            # By its own name a joint names its motor, which it then would have.
+            raise DescriptionError(f"joint {joint!r} mimics itself; name the joint it follows")
+        return cls({other: multiplier}, offset)
 
     def __str__(self) -> str:
         terms = [f"{factor:+.6g} {name}" for name, factor in self.factors.items()]
@@ -213,6 +224,14 @@ def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
     return chain[::-1]
 
 
+def _list_numbers(body: LinkInertia) -> Any:
+    return body.parameters.tolist()
+
+
+def _read_body(numbers: Sequence[float]) -> LinkInertia:
+    return LinkInertia(np.array(numbers, dtype=np.float64))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
     """One moving rigid body.
@@ -224,9 +243,15 @@ class Link:
     """
 
     name: str
-    inertia: LinkInertia
+    inertia: LinkInertia = field(metadata=store_as(encode=_list_numbers, decode=_read_body))
     inertia_known: bool = True
-    parts: tuple[tuple[str, LinkInertia], ...] = ()
+    parts: tuple[tuple[str, LinkInertia], ...] = field(
+        default=(),
+        metadata=store_as(
+            encode=lambda parts: [[name, _list_numbers(body)] for name, body in parts],
+            decode=lambda parts: tuple((str(name), _read_body(body)) for name, body in parts),
+        ),
+    )
     negligible: bool = False
 
     @classmethod

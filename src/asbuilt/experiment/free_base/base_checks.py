@@ -20,7 +20,7 @@ from asbuilt.dynamics.reactions import contact_basis, contact_jacobians
 from asbuilt.experiment.free_base.columns import (
     add_base_coordinates,
     base_rotations,
-    coordinate_rates,
+    find_base_spin,
     with_base_columns,
     yaw_pitch_roll,
 )
@@ -28,6 +28,7 @@ from asbuilt.experiment.free_base.feet import (
     check_forces,
     collect_measured_wrenches,
     estimate_rolling_radii,
+    find_better_reading,
     set_rolling_radii,
 )
 from asbuilt.experiment.free_base.ground import Ground, measure_ground
@@ -37,31 +38,31 @@ from asbuilt.experiment.quality.torque_fit import COMPARED_TORQUES
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names, undesigned
 
-# Say from when a free base is read wrongly: own choices, tested on virtual and real robots.
-#
-# Another reading must leave less than `FREE_BASE_SHARE` of the squared disagreement. Contact flags
-# are shifted by up to `FREE_BASE_LONGEST_SHIFT` [s], and named from `FREE_BASE_SHIFT` [s]. A
-# contact that is closed slips above `FREE_BASE_SLIP` [m/s]. `FREE_BASE_GRAVITY` [m/s^2] is the
-# least mean by which accelerations that hold gravity differ from the rates of the velocity.
-# Stated radii are off by more than a part `FREE_BASE_RADIUS` from those on which feet roll. At most
-# `FREE_BASE_SAMPLES` of a log are looked at, `FREE_BASE_POSTURES` of them for the equations that
-# contacts leave: some in a part `FREE_BASE_LEFT` of them.
+# When a free base is read wrongly: own choices, tested on virtual and real robots.
 
-FREE_BASE_SHARE = 0.5
-FREE_BASE_LONGEST_SHIFT = 0.1
-FREE_BASE_SHIFT = 0.02
-FREE_BASE_SLIP = 0.3
-FREE_BASE_OFTEN = 0.1
-FREE_BASE_GRAVITY = 5.0
-FREE_BASE_RADIUS = 0.3
-FREE_BASE_SAMPLES = 20_000
-FREE_BASE_POSTURES = 200
-FREE_BASE_LEFT = 0.02
+LONGEST_SHIFT = 0.1
+"""Longest time [s] by which contact flags are shifted."""
+SHIFT = 0.02
+"""Least time [s] by which they are late if they are."""
+SLIP = 0.3
+"""Speed [m/s] above which a contact that is closed slips."""
+OFTEN = 0.1
+"""Part of the time in which it slips from which that is said."""
+GRAVITY_IN_RATES = 5.0
+"""Least mean [m/s^2] by which accelerations that hold gravity differ from the velocity's rates."""
+OTHER_RADIUS = 0.3
+"""Part by which stated radii are off from those on which feet roll."""
+SAMPLES = 20_000
+"""Samples of a log that are looked at."""
+POSTURES = 200
+"""Samples of them for the equations that contacts leave."""
+WITH_EQUATIONS = 0.02
+"""Part of the postures that have some, from which contacts leave equations."""
 
 
 def check_free_base(model: RobotModel, recording: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with base and contacts of a recording."""
-    part = recording.taken(slice(0, FREE_BASE_SAMPLES))
+    part = recording.taken(slice(0, SAMPLES))
     if part.n_samples < 10 or not np.all(np.isfinite(part.q)):
         return ()
     rates = np.gradient(part.q, part.t, axis=0)
@@ -81,13 +82,13 @@ def _check_equations(model: RobotModel, recording: Recording) -> Iterator[Findin
     """
     measured = {place.frame for place in collect_measured_wrenches(recording, model)}
     unknown = [contact.frame not in measured for contact in model.contacts]
-    rows = slice(0, None, -(-recording.n_samples // FREE_BASE_POSTURES))
+    rows = slice(0, None, -(-recording.n_samples // POSTURES))
     if recording.contact is None or not any(unknown):
         return
     closed = recording.contact[rows] * unknown
     basis = contact_basis(model, recording.q[rows], closed)
     taken = np.count_nonzero(np.linalg.norm(basis, axis=1) > 0.5, axis=0)
-    if np.mean(taken < model.n_joints) > FREE_BASE_LEFT:
+    if np.mean(taken < model.n_joints) > WITH_EQUATIONS:
         return
     flat = [contact.frame for contact in model.contacts if contact.flat]
     yield Finding(
@@ -110,28 +111,35 @@ def _check_velocities(model: RobotModel, recording: Recording, rates: Array) -> 
     if qd is None or model.n_floating != 6:
         return
     R = base_rotations(q)
-    linear = np.einsum("sji,sj->si", R, qd[:, :3])  # as logged
-    if _measure_mean_square(linear - rates[:, :3]) < FREE_BASE_SHARE * _measure_mean_square(
-        qd[:, :3] - rates[:, :3]
-    ):
+    in_world = "in world axes"
+
+    def off_linear(velocity: Array) -> float:
+        return _measure_mean_square(velocity - rates[:, :3])
+
+    as_logged = np.einsum("sji,sj->si", R, qd[:, :3])
+    if find_better_reading(off_linear, qd[:, :3], [(in_world, as_logged)]):
         yield _report_wrong_axes("base_vx .. base_vz")
-    angular, derived = (_turn_into_base_axes(q, each) for each in (qd, rates))
-    off = _measure_mean_square(angular - derived)
-    if _measure_mean_square(angular - np.einsum("sij,sj->si", R, derived)) < FREE_BASE_SHARE * off:
+    logged = find_base_spin(q, qd)
+    spin = find_base_spin(q, rates)
+    readings = {in_world: np.einsum("sij,sj->si", R, spin)}
+    for order, angles in _list_other_readings(R):
+        turned = np.gradient(np.unwrap(angles, axis=0), recording.t, axis=0)
+        readings[order] = find_base_spin(
+            np.hstack([q[:, :3], angles]), np.hstack([rates[:, :3], turned])
+        )
+    best = find_better_reading(
+        lambda spin: _measure_mean_square(logged - spin), spin, readings.items()
+    )
+    if best == in_world:
         yield _report_wrong_axes("base_wx .. base_wz")
-        return
-    for order, other in _list_other_readings(R):
-        turned = np.gradient(np.unwrap(other, axis=0), recording.t, axis=0)
-        again = np.hstack([q[:, :3], other]), np.hstack([rates[:, :3], turned])
-        if _measure_mean_square(angular - _turn_into_base_axes(*again)) < FREE_BASE_SHARE * off:
-            yield Finding(
-                "quaternion_order",
-                "error",
-                f"the quaternion of the base is {order}: so read, it turns as base_wx .. base_wz"
-                " say, and as x y z w it does not",
-                Cure("write it as base_qx base_qy base_qz base_qw, base axes to world axes"),
-            )
-            return
+    elif best is not None:
+        yield Finding(
+            "quaternion_order",
+            "error",
+            f"the quaternion of the base is {best}: so read, it turns as base_wx .. base_wz say,"
+            " and as x y z w it does not",
+            Cure("write it as base_qx base_qy base_qz base_qw, base axes to world axes"),
+        )
 
 
 def _report_wrong_axes(columns: str) -> Finding:
@@ -153,22 +161,13 @@ def _list_other_readings(R: Array) -> Iterator[tuple[str, Array]]:
     yield "the inverse (world axes to base axes)", yaw_pitch_roll(np.stack([-x, -y, -z, w], axis=1))
 
 
-def _turn_into_base_axes(q: Array, rates: Array) -> Array:
-    """Return the angular velocity (N, 3) in base axes of the rates of yaw, pitch and roll."""
-    unit = [
-        coordinate_rates(q, np.zeros((len(q), 3)), np.tile(axis, (len(q), 1)))[:, 3:]
-        for axis in np.eye(3)
-    ]
-    return np.asarray(np.linalg.solve(np.stack(unit, axis=2), rates[:, 3:6, None])[:, :, 0])
-
-
 def _check_accelerations(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Find accelerations that hold gravity, as an inertial sensor measures them."""
     if recording.qdd is None or recording.qd is None or model.n_floating != 6:
         return
     derived = np.gradient(recording.qd[:, :3], recording.t, axis=0)
     off = np.mean(recording.qdd[:, :3] - derived, axis=0)
-    if np.linalg.norm(off) > FREE_BASE_GRAVITY:
+    if np.linalg.norm(off) > GRAVITY_IN_RATES:
         yield Finding(
             "base_acceleration_gravity",
             "error",
@@ -217,12 +216,12 @@ def _check_contacts(model: RobotModel, recording: Recording, rates: Array) -> It
         return
     for k, name in enumerate(names):
         inner = _mark_inside(closed[:, k], round(0.03 * recording.rate))
-        slips = float(np.mean(speed[inner, k] > FREE_BASE_SLIP)) if inner.any() else 0.0
-        if slips > FREE_BASE_OFTEN:
+        slips = float(np.mean(speed[inner, k] > SLIP)) if inner.any() else 0.0
+        if slips > OFTEN:
             yield Finding(
                 "contact_slips",
                 "warning",
-                f"{name} moves faster than {FREE_BASE_SLIP:g} m/s in {100 * slips:.0f} % of the"
+                f"{name} moves faster than {SLIP:g} m/s in {100 * slips:.0f} % of the"
                 " time in which its contact is closed; forces there are projected away all the"
                 " same, and what an open contact would say is lost",
                 Cure("check its flags"),
@@ -240,7 +239,7 @@ def _report_radii(model: RobotModel, recording: Recording) -> Iterator[Finding]:
             continue
         stated = contact.radius or 0.0
         text = f"{contact.frame} {1e3 * radius:.3g} mm"
-        if contact.flat or abs(stated - radius) > FREE_BASE_RADIUS * max(stated, radius):
+        if contact.flat or abs(stated - radius) > OTHER_RADIUS * max(stated, radius):
             kind = "a sole" if contact.flat else f"{1e3 * stated:.3g} mm"
             other.append(f"{text} (stated: {kind})")
         else:
@@ -268,7 +267,8 @@ def _is_falling(model: RobotModel, recording: Recording) -> bool:
     """Return whether the base falls freely on average, as it does where nothing touches it."""
     t = recording.t - recording.t[0]
     up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)
-    height = recording.q[:, : len(up)][:, :3] @ up[: min(3, model.n_floating)]
+    places = 3 if model.n_floating == len(AXES) else 2  # a planar base has no height of its own
+    height = recording.q[:, :places] @ up[:places]
     fall = -2.0 * np.polyfit(t, height, 2)[0]
     return bool(fall > 0.5 * np.linalg.norm(model.gravity))
 
@@ -280,7 +280,7 @@ def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:
     """
     capped = np.minimum(speed, np.quantile(speed, 0.9, axis=0)) ** 2
     changing = [k for k in range(closed.shape[1]) if closed[:, k].any() and not closed[:, k].all()]
-    most = round(FREE_BASE_LONGEST_SHIFT * rate)
+    most = round(LONGEST_SHIFT * rate)
     if not changing or len(closed) < 4 * most:
         return 0.0
     inner = slice(most, len(closed) - most)
@@ -290,10 +290,8 @@ def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:
         return float(sum(capped[inner, k][moved[:, k]].mean() for k in changing))
 
     shifts = range(-most, most + 1)
-    found = {shift: disagreement(shift) for shift in shifts}
-    best = min(shifts, key=lambda shift: found[shift])
-    named = abs(best) / rate >= FREE_BASE_SHIFT and found[best] < FREE_BASE_SHARE * found[0]
-    return best / rate if named else 0.0
+    late = (find_better_reading(disagreement, 0, zip(shifts, shifts, strict=True)) or 0) / rate
+    return late if abs(late) >= SHIFT else 0.0
 
 
 def _mark_inside(closed: Mask, margin: int) -> Mask:
@@ -306,11 +304,6 @@ def _measure_mean_square(x: Array) -> float:
     """Return the mean square, single outliers cut off."""
     squares = np.sum(x * x, axis=1)
     return float(np.minimum(squares, np.percentile(squares, 99.0)).mean())
-
-
-def drop_base_joints(model: RobotModel, recording: Recording) -> Recording:
-    """Return a recording of the joints that have a drive, as of a robot that is held."""
-    return replace(recording.reordered(model.on_held_base.joint_names), undriven=(), contact=None)
 
 
 OF_HELD_BASE = (*COMPARED_TORQUES, "rank_deficient", "weak_excitation")
@@ -342,7 +335,9 @@ class FloatingRoot:
 
     def hold(self, recording: Recording) -> tuple[RobotModel, Recording]:
         """Return robot and recording with the base held."""
-        return self.model.on_held_base, drop_base_joints(self.model, recording)
+        held = self.model.on_held_base
+        driven = recording.reordered(held.joint_names)
+        return held, replace(driven, undriven=(), contact=None)
 
     def add_findings(
         self, found: Sequence[Finding], recording: Recording, *, has_clock: bool

@@ -16,7 +16,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import DescriptionError, RecordingError
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.feet import (
     find_closed,
     select_force_columns,
@@ -24,6 +24,7 @@ from asbuilt.experiment.free_base.feet import (
 )
 from asbuilt.experiment.free_base.inertial_sensor import (
     normalise_quaternions,
+    place_on_base,
     with_inertial_base,
 )
 from asbuilt.experiment.logs.columns.layout import find_column
@@ -85,9 +86,8 @@ def with_base_columns(
     frame = sheet.base_frame or table.frames.get("base", "")
     sensor = sheet.imu_frame or ("" if posed else table.frames.get("imu", ""))
     if posed and frame:
-        columns |= move_to_base(columns, _place_on_base(table, model, frame, "base_frame"))
-    if sensor:
-        _place_on_base(table, model, sensor, "imu_frame")
+        placement = place_on_base(table.source, model, frame, "base_frame")
+        columns |= move_to_base(columns, placement)
     recording = replace(recording, extra=columns)
     states = [columns[name] for name in columns if name.startswith(("base_", "imu_"))]
     rows = np.flatnonzero(np.isfinite(states).all(axis=0))
@@ -97,32 +97,7 @@ def with_base_columns(
         note = f"{left_out} samples without a state of the base, before or after it, were left out"
         if left_out:
             recording = replace(recording.taken(inside), notes=(*recording.notes, note))
-    return recording, sensor.rpartition("/")[2]
-
-
-def _place_on_base(table: LogTable, model: RobotModel, frame: str, field: str) -> Array:
-    """Return the placement (4, 4) of a frame on the base; refuses one that is not fixed to it."""
-    base = model.n_floating - 1
-    try:
-        link, placement = model.placed(frame.rpartition("/")[2])
-    except DescriptionError:
-        link = -1
-        placement = np.eye(4)
-    if link != base:
-        fixed = [frame.name for frame in model.frames if frame.link == base]
-        listed = ", ".join([model.link_names[base], *fixed])
-        raise RecordingError(
-            f"{table.source}: the frame {frame!r} is not fixed to the base of {model.name}; its"
-            f" base has {listed}",
-            cure=Cure(
-                "say which of them it is in a recording sheet, or add it to the description:"
-                f' {field} = "{model.link_names[base]}"'
-            ),
-            file=table.source,
-            value=frame,
-            available=[model.link_names[base], *fixed],
-        )
-    return placement
+    return recording, sensor
 
 
 def move_to_base(columns: Mapping[str, Array], placement: Array) -> dict[str, Array]:
@@ -299,6 +274,18 @@ def coordinate_rates(q: Array, v: Array, w: Array) -> Array:
     pitch = cr * w[:, 1] - sr * w[:, 2]
     roll = w[:, 0] + sp * yaw
     return np.column_stack([np.einsum("sij,sj->si", base_rotations(q), v), yaw, pitch, roll])
+
+
+def find_base_spin(q: Array, rates: Array) -> Array:
+    """Return the angular velocity (N, 3) in base axes of rates of the base's coordinates.
+
+    The inverse of `coordinate_rates`.
+    """
+    sp, sr = np.sin(q[:, 4:6]).T
+    cp, cr = np.cos(q[:, 4:6]).T
+    yaw, pitch, roll = rates[:, 3:6].T
+    across = cp * yaw
+    return np.column_stack([roll - sp * yaw, cr * pitch + sr * across, cr * across - sr * pitch])
 
 
 def coordinate_accelerations(

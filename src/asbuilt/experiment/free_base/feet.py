@@ -19,8 +19,9 @@ So the masses of a description say in which axes the forces are, and which way.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from asbuilt.dynamics.reactions import SAMPLES_AT_ONCE, contact_jacobians
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
+
+Name = TypeVar("Name")
+Reading = TypeVar("Reading")
 
 PRESSED = 0.02
 """Part of a large force above which a contact without a flag counts as closed."""
@@ -51,31 +55,24 @@ def find_closed(columns: Mapping[str, Array], frame: str) -> Array | None:
     return columns.get(name)
 
 
-@dataclass(frozen=True, slots=True)
-class InertialRules:
-    """Say how a sensor is combined with feet, and when it is read wrongly: own choices.
+LEFT_BY_BETTER = 0.5
+"""Part of a squared disagreement that another reading of a log leaves at most, if that is right:
+own choice, tested on virtual and real robots."""
 
-    Tested on a virtual Go2 and Solo12.
+
+def find_better_reading(
+    disagree: Callable[[Reading], float],
+    plain: Reading,
+    others: Iterable[tuple[Name, Reading]],
+    part: float = LEFT_BY_BETTER,
+) -> Name | None:
+    """Return which other reading of a log leaves least of a squared disagreement.
+
+    None where it is no better than a part of what the plain reading leaves.
     """
-
-    tilt: float = 0.1
-    """Frequency [Hz] below which gravity says how the base is tilted, above it the rates: a robot
-    that walks comes back within 10 s, or its feet say by how much it does not."""
-    drift: float = 0.2
-    """Frequency [Hz] below which feet say how fast the base moves, above it the accelerometer."""
-    updates: int = 5
-    """Corrections of the tilt, each of which is right to first order."""
-    turn: float = 1.0
-    """Frequency [Hz] below which gravity turns against the base as its rates say."""
-    gravity: float = 0.25
-    """Part by which the mean specific force may differ from gravity."""
-    upright: float = np.deg2rad(60.0)
-    """Largest mean angle between gravity and where it is expected."""
-    share: float = 0.5
-    """Part of the squared disagreement that is left by another reading, if that is right."""
-
-
-RULES = InertialRules()
+    left = {name: disagree(reading) for name, reading in others}
+    best = min(left, key=lambda name: left[name])
+    return best if left[best] < part * disagree(plain) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,63 +127,22 @@ class Feet:
         return float(np.sum(several * capped) / max(several.sum(), 1.0))
 
 
-def estimate_base_velocity(
-    R: Array, f: Array, feet: Feet, w: Array, rate: float, gravity: Array
-) -> tuple[Array, Array]:
-    """Return the velocity of the base (N, 3) in world axes, and the offset of the sensor (3,).
+# When a foot is taken to roll: own choices, tested on virtual robots and a Solo12.
 
-    The velocity is the integral of the accelerometer, but for what it drifts by, which feet that
-    stand say: `v = integral (R (f - b) + g) + v0`, and slow deviations from that.
-    """
-    fallen = integrate(np.einsum("sij,sj->si", R, f) + gravity, 1.0 / rate)
-    own, count = feet.base_velocity(w)
-    known = np.flatnonzero(count > 0)
-    if known.size < rate:  # it hardly touches: the drift is not known, and no velocity enters
-        return fallen, np.zeros(3)
-    off = (fallen - np.einsum("sij,sj->si", R, own))[known]
-    turned = integrate(R.reshape(-1, 9), 1.0 / rate).reshape(-1, 3, 3)
-    start = np.broadcast_to(np.eye(3), (known.size, 3, 3))
-    columns = np.concatenate([turned[known], start], axis=2)
-    fit = np.linalg.lstsq(columns.reshape(-1, 6), off.ravel(), rcond=None)[0]
-    left = off - columns @ fit
-    left = np.stack([np.interp(np.arange(len(f)), known, x) for x in left.T], axis=1)
-    steady = turned @ fit[:3] + fit[3:]
-    return np.asarray(fallen - steady - select_slow_part(left, RULES.drift, rate)), fit[:3]
-
-
-def select_slow_part(x: Array, frequency: float, rate: float) -> Array:
-    """Return x (N, m) below a frequency, by a Gaussian window that mirrors the ends.
-
-    A recursive filter extends them so that it passes through the first and last sample, which are
-    as noisy as any.
-    """
-    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - light start
-
-    width = rate / (2.0 * np.pi * frequency)
-    return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
-
-
-def integrate(x: Array, dt: float) -> Array:
-    """Return the integral (N, m) from the first sample on, by trapezoids."""
-    return np.vstack([np.zeros(x.shape[1]), np.cumsum(0.5 * dt * (x[1:] + x[:-1]), axis=0)])
-
-
-# Say when a foot is taken to roll: own choices, tested on virtual robots and a Solo12.
-#
-# The foot is followed over pieces of stance of up to `ROLLING_LONGEST` [s] and at least
-# `ROLLING_SAMPLES` samples, less an `ROLLING_EDGE` of every stance at both ends, where it lands and
-# lifts. At least `ROLLING_PIECES` of them are needed, and in the median piece rolling leaves less
-# than `ROLLING_LEFT` of the squared displacement. At most `ROLLING_READ` samples of a recording are
-# looked at; radii are `ROLLING_SMALLEST` to `ROLLING_LARGEST` [m].
-
-ROLLING_LONGEST = 0.5
-ROLLING_EDGE = 1.0 / 6.0
-ROLLING_SAMPLES = 5
-ROLLING_PIECES = 5
-ROLLING_LEFT = 0.5
-ROLLING_SMALLEST = 2e-3
-ROLLING_LARGEST = 0.2
-ROLLING_READ = 20_000
+LONGEST_PIECE = 0.5
+"""Longest piece of stance [s] over which a foot is followed."""
+FEWEST_SAMPLES = 5
+"""Samples of a piece."""
+EDGE = 1.0 / 6.0
+"""Part of every stance at both ends that is left out, where the foot lands and lifts."""
+FEWEST_PIECES = 5
+LEFT_BY_ROLLING = 0.5
+"""Part of the squared displacement that rolling leaves in the median piece."""
+SMALLEST_RADIUS = 2e-3
+LARGEST_RADIUS = 0.2
+"""Radii of feet [m]."""
+LOOKED_AT = 20_000
+"""Samples of a recording that are looked at."""
 
 
 def set_rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
@@ -213,7 +169,7 @@ def estimate_rolling_radii(
     )
     pieces: list[list[tuple[Array, Array]]] = [[] for _ in model.contacts]
     for recording in recordings:
-        part = recording.taken(slice(0, ROLLING_READ))
+        part = recording.taken(slice(0, LOOKED_AT))
         readable = np.isfinite(part.rate) and bool(np.all(np.isfinite(part.q)))
         if part.contact is None or model.n_floating != 6 or not readable:
             continue
@@ -239,18 +195,18 @@ def _cut_stance_segments(moved: Array, closed: Mask, rate: float) -> Iterator[tu
     """Yield displacement and what a radius of 1 m would give, (2 n,) each, of pieces of stance."""
     changes = np.flatnonzero(np.diff(np.r_[False, closed, False].astype(np.int8)))
     for start, stop in changes.reshape(-1, 2).tolist():
-        edge = round(ROLLING_EDGE * (stop - start))
+        edge = round(EDGE * (stop - start))
         stance = moved[start + edge : stop - edge]
-        parts = max(1, round(len(stance) / (ROLLING_LONGEST * rate)))
+        parts = max(1, round(len(stance) / (LONGEST_PIECE * rate)))
         for piece in np.array_split(stance, parts):
-            if len(piece) >= ROLLING_SAMPLES:
+            if len(piece) >= FEWEST_SAMPLES:
                 off = piece - piece.mean(axis=0)
                 yield off[:, :2].ravel(), np.stack([off[:, 4], -off[:, 3]], axis=1).ravel()
 
 
 def _estimate_radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
     """Return the median radius, weighted by the turns of pieces, if the foot rolls on it."""
-    if len(pieces) < ROLLING_PIECES:
+    if len(pieces) < FEWEST_PIECES:
         return None
     turns = np.array([x @ x for _, x in pieces])
     radii = np.array([y @ x for y, x in pieces]) / np.maximum(turns, 1e-30)
@@ -258,7 +214,7 @@ def _estimate_radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
     half = np.searchsorted(np.cumsum(turns[order]), 0.5 * turns.sum())
     radius = float(radii[order][half])
     left = [np.sum((y - radius * x) ** 2) / max(float(y @ y), 1e-30) for y, x in pieces]
-    rolls = ROLLING_SMALLEST < radius < ROLLING_LARGEST and np.median(left) < ROLLING_LEFT
+    rolls = SMALLEST_RADIUS < radius < LARGEST_RADIUS and np.median(left) < LEFT_BY_ROLLING
     return round(radius, 4) if rolls else None
 
 
@@ -350,15 +306,14 @@ def turn_into_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: 
     return np.asarray(np.einsum("sij,skj->ski", R, parts).reshape(wrench.shape))
 
 
-# Say from when forces are read wrongly: own choices, tested on virtual robots.
-#
-# Forces are averaged over `FORCE_WINDOW` [s]. Another reading must leave less than `FORCE_SHARE` of
-# the squared disagreement with the weight. Flags and forces disagree in more than a part
-# `FORCE_OFTEN`.
+# When forces are read wrongly: own choices, tested on virtual robots.
 
 FORCE_WINDOW = 0.1
+"""Time [s] over which forces are averaged."""
 FORCE_SHARE = 0.25
+"""Part of the squared disagreement with the weight that another reading leaves at most."""
 FORCE_OFTEN = 0.1
+"""Part of the time in which flags and forces disagree, from which that is said."""
 
 
 def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
@@ -387,14 +342,14 @@ def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Itera
         "forces of the robot on its surroundings": -world,
         "forces of the robot on its surroundings, in world axes": -plain,
     }
-    best = min(readings, key=lambda name: off(readings[name]))
-    if off(readings[best]) < FORCE_SHARE * off(world):
+    best = find_better_reading(off, world, readings.items(), FORCE_SHARE)
+    if best is not None:
         yield Finding(
             "force_axes",
             "error",
-            f"measured forces at {join_names([place.frame for place in own])} are {best}: so"
-            " read, they"
-            " carry the weight of the robot; as forces on it in axes of these frames they do not",
+            f"measured forces at {join_names([place.frame for place in own])} are {best}: so read,"
+            " they carry the weight of the robot; as forces on it in axes of these frames they do"
+            " not",
             Cure("turn them into axes of the frames, with the sign of what acts on the robot"),
         )
     for place, force in own.items():

@@ -16,6 +16,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description import quaternion_from_rotation
 from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import find_axes_across, rotation_onto
 from asbuilt.description.structure.free_base import AXES
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
@@ -59,7 +60,7 @@ class Ground:
         # As stiff as what stops a joint by dry friction: the heights of feet that stand hold how
         # far the real floor gives way.
         stiff = [max(FRICTION_TIME, 2.0 * step), 1.0]
-        level = quaternion_from_rotation(_complete_axes(find_vertical(model)))
+        level = quaternion_from_rotation(rotation_onto(find_vertical(model)))
         for contact, normal in zip(model.contacts, self.normals, strict=True):
             link, placement = model.placed(contact.frame)
             name = f"ground of {contact.frame}"
@@ -69,7 +70,7 @@ class Ground:
             floor.add_geom(
                 name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=level, **shape
             )
-            across = GROUND_SOLE * _complete_axes(normal)[:, :2].T
+            across = GROUND_SOLE * find_axes_across(normal)
             corners = [*across, *-across] if contact.flat else [np.zeros(3)]
             for number, corner in enumerate(corners):
                 ball = f"{contact.frame} {number}"
@@ -133,10 +134,3 @@ def measure_ground(
 
 def _choose_radius(radius: float | None) -> float:
     return max(radius or 0.0, GROUND_POINT)
-
-
-def _complete_axes(z: Array) -> Array:
-    """Return a rotation (3, 3) whose last column is a unit vector."""
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)

@@ -19,7 +19,7 @@ from asbuilt.experiment.logs.columns.roles import parse_file_quantity, recognise
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.experiment.recording import Recording, spread_over_joints
+from asbuilt.experiment.recording import ENCODERS, Recording, spread_over_joints
 from asbuilt.findings import Cure
 
 FILE_QUANTITIES = {"position", "velocity", "acceleration", "torque"}
@@ -213,15 +213,26 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     if sheet.sign == "command":
         recording = sign_by_command(recording, {*sheet.lock, *(options.lock or ())})
     elif sheet.sign is not None:
-        signs = spread_over_joints(recording, sheet.sign, "signs")
-        if np.all(signs < 0):
-            recording = recording.flipped()
-        elif np.any(signs < 0):
-            recording = replace(recording.scaled(signs), gains=recording.gains)
+        recording = _turn_torques(recording, spread_over_joints(recording, sheet.sign, "signs"))
     gain = options.gain if options.gain is not None else sheet.gains
     recording = recording if gain is None else recording.scaled(gain)
     recording = recording.flipped() if options.flip_torque else recording
     return drive_as_stated(recording, sheet, options)
+
+
+def _turn_torques(recording: Recording, signs: Array) -> Recording:
+    """Return the recording with torques times signs (n,), also the extra ones of each joint."""
+    if np.all(signs < 0):
+        return recording.flipped()
+    if np.all(signs > 0):
+        return recording
+    extra = {
+        name: values * signs
+        if name.startswith("tau") and values.shape == recording.q.shape
+        else values
+        for name, values in recording.extra.items()
+    }
+    return replace(recording.scaled(signs), extra=extra, gains=recording.gains)
 
 
 def _list_stated(sheet: RecordingSheet, options: ReadingOptions) -> frozenset[str]:
@@ -260,15 +271,24 @@ def _apply_conventions(recording: Recording, sheet: RecordingSheet) -> Recording
         if given is not None
     )
 
-    def convert(values: Array | None, zero: Array | float = 0.0) -> Array | None:
-        return None if values is None else values * signs - zero
+    def turn(values: Array | None) -> Array | None:
+        return None if values is None else values * signs
 
+    def convert(positions: Array) -> Array:
+        return positions * signs - signs * zeros
+
+    encoders = {
+        name: convert(values)
+        for name, values in recording.extra.items()
+        if name in ENCODERS.values()
+    }
     return replace(
         recording,
-        q=recording.q * signs - signs * zeros,
-        qd=convert(recording.qd),
-        qdd=convert(recording.qdd),
-        command=convert(recording.command, signs * zeros),
+        q=convert(recording.q),
+        qd=turn(recording.qd),
+        qdd=turn(recording.qdd),
+        command=None if recording.command is None else convert(recording.command),
+        extra={**recording.extra, **encoders},
         notes=(*recording.notes, *notes),
     )
 

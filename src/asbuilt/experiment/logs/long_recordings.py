@@ -25,6 +25,7 @@ from asbuilt.experiment.logs.readers import (
     read_recording,
 )
 from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
+from asbuilt.experiment.logs.sheet import SheetFiles
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -69,7 +70,7 @@ def stream_recording(
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
     sheet = chosen.with_windows(sheet)
-    whole_first = sheet.files.position is not None or sheet.sign == "command"
+    whole_first = sheet.files != SheetFiles() or sheet.sign == "command"
     stream = None
     if not whole_first and path.suffix != ".toml":
         stream = choose_log_format(path).stream(path, sheet)

@@ -14,7 +14,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import QUANTITIES, Layout
-from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.log_format import LogTable, measure_gaps
 from asbuilt.experiment.recording import ENCODERS, UNWRAPPED
 from asbuilt.findings import Cure
 
@@ -58,26 +58,19 @@ class _Counter:
 
 @dataclass(frozen=True, slots=True)
 class Mended:
-    """Say what was mended: text before and after a count, which adds up over the parts of a log.
+    """Say what was mended, and how often: the count adds up over the parts of a log.
 
-    `kind` names what was done; the text of the first part of a log stands for all. `of` says
-    whether the number of all rows follows the count.
+    `kind` names what was done. The text of the first part stands for all; in it `{count}` and
+    `{rows}` are the count and the number of all rows.
     """
 
     kind: str
-    before: str
     count: int
-    after: str
-    of: bool = False
-
-    def with_more(self, other: Mended) -> Mended:
-        """Return the same with the count of a later part."""
-        return replace(self, count=self.count + other.count)
+    text: str
 
     def write(self, rows: int) -> str:
         """Return the note on a log of so many rows."""
-        of = f" of {rows}" if self.of else ""
-        return f"{self.before}{self.count}{of}{self.after}"
+        return self.text.replace("{count}", str(self.count)).replace("{rows}", str(rows))
 
 
 class LogMender:
@@ -127,16 +120,16 @@ class LogMender:
                 scale = self._layout.scales.get(str(self._layout.time), 1.0)
                 self._step = scale * float(times[-1] - times[0]) / (times.size - 1)
         columns = dict(ordered.columns)
-        for value in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
-            before = self._mended.get(value.kind)
-            self._mended[value.kind] = value if before is None else before.with_more(value)
+        for part in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
+            first = self._mended.setdefault(part.kind, replace(part, count=0))
+            self._mended[part.kind] = replace(first, count=first.count + part.count)
         self._unwrap(columns)
         return replace(ordered, columns=columns, notes=(*table.notes, *self._list_notes()))
 
     def _list_notes(self) -> Iterator[str]:
         """Yield what was mended so far."""
-        for each in self._mended.values():
-            yield each.write(self._rows[each.kind == "rows"])
+        for mended in self._mended.values():
+            yield mended.write(self._rows[mended.kind == "rows"])
         for period, jumps in self._jumps.items():
             listed = ", ".join(f"{name} {count} times" for name, count in jumps.items())
             yield f"{UNWRAPPED} {period:.6g} were unwrapped: {listed}"
@@ -165,11 +158,11 @@ class LogMender:
                         file=table.source,
                     )
                 columns[name] = np.where(absurd, np.nan, columns[name])
-                before = (
+                text = (
                     f"values of {name} beyond {MOST:g}, such as {values[first]:g} in row"
-                    f" {first + 1}, count as missing: "
+                    f" {first + 1}, count as missing: {{count}}"
                 )
-                notes.append(Mended(f"absurd {name}", before, int(absurd.sum()), ""))
+                notes.append(Mended(f"absurd {name}", int(absurd.sum()), text))
         notes.sort(key=lambda note: note.kind)
         return (replace(table, columns=columns), notes) if notes else (table, [])
 
@@ -194,9 +187,11 @@ class LogMender:
                 count += int(below.sum())
                 columns[name] = np.where(below, columns[name] - 2.0**bits, columns[name])
             if count:
-                what = f"{join(names)} are {bits} bits without a sign, which wrap at {2**bits}: "
-                after = f" values from {2 ** (bits - 1)} on count as negative"
-                yield Mended(f"sign {names[0]}", what, count, after)
+                text = (
+                    f"{join(names)} are {bits} bits without a sign, which wrap at {2**bits}:"
+                    f" {{count}} values from {2 ** (bits - 1)} on count as negative"
+                )
+                yield Mended(f"sign {names[0]}", count, text)
 
     def _list_counted(self) -> Iterator[tuple[int, tuple[str, ...]]]:
         """Yield the columns of each quantity that may be integers without a sign, and their bits.
@@ -305,16 +300,18 @@ def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[Mended]
     columns = {name: values[kept] for name, values in table.columns.items()}
     notes = []
     if count := int(np.count_nonzero(~kept)):
-        notes.append(
-            Mended("rows", "", count, " rows hold other topics and were left out", of=True)
-        )
+        text = "{count} of {rows} rows hold other topics and were left out"
+        notes.append(Mended("rows", count, text))
     t = table.columns[layout.time]
     for name in apart:
         own = present[name]
         columns[name] = _interpolate(t[kept], t[own], table.columns[name][own])
     if apart:
-        what = f"{join(apart)} were logged in other rows than the positions, and were interpolated"
-        notes.append(Mended("apart", f"{what} at the ", int(kept.sum()), f" times of {lead}"))
+        text = (
+            f"{join(apart)} were logged in other rows than the positions, and were interpolated"
+            f" at the {{count}} times of {lead}"
+        )
+        notes.append(Mended("apart", int(kept.sum()), text))
     return replace(table, columns=columns), notes
 
 
@@ -326,9 +323,7 @@ def _interpolate(at: Array, t: Array, values: Array) -> Array:
     t = t[order]
     values = values[order]
     out = np.interp(at, t, values, left=np.nan, right=np.nan)
-    after = np.clip(np.searchsorted(t, at), 1, t.size - 1)
-    steps = np.diff(t)
-    out[steps[after - 1] > FEWEST_STEPS * float(np.median(steps))] = np.nan
+    out[measure_gaps(at, t) > FEWEST_STEPS * float(np.median(np.diff(t)))] = np.nan
     return out
 
 
@@ -365,14 +360,14 @@ def mend_clock(
         return table, []
     notes = []
     if backward:
-        after = (
-            " times a row was earlier than the row before; the rows were sorted by time, in which"
-            " the clock is regular"
+        text = (
+            "{count} times a row was earlier than the row before; the rows were sorted by time, in"
+            " which the clock is regular"
         )
-        notes.append(Mended("order", "", backward, after))
+        notes.append(Mended("order", backward, text))
     if doubled:
-        after = " rows have the time stamp of another and were left out"
-        notes.append(Mended("doubled", "", doubled, after, of=True))
+        text = "{count} of {rows} rows have the time stamp of another and were left out"
+        notes.append(Mended("doubled", doubled, text))
     return replace(table, columns={k: v[kept] for k, v in table.columns.items()}), notes
 
 
@@ -432,10 +427,12 @@ def _find_grid(
     middle = 0.5 * float(np.max(away) + np.min(away))
     if float(np.max(np.abs(away - middle))) > GRID * rounded:
         return None
-    before = f"the time stamps are rounded to {rounded:.3g} s, "
-    after = f" repeat; they were replaced by the regular clock of {1.0 / step:.6g} Hz behind them"
+    text = (
+        f"the time stamps are rounded to {rounded:.3g} s, {{count}} of {{rows}} repeat; they were"
+        f" replaced by the regular clock of {1.0 / step:.6g} Hz behind them"
+    )
     # Stamps lie to both sides of the grid behind them, so that parts of a log go on as one.
-    return grid + middle, Mended("grid", before, repeated, after, of=True)
+    return grid + middle, Mended("grid", repeated, text)
 
 
 def _with_clock(

@@ -26,11 +26,7 @@ from asbuilt.experiment.logs.columns.roles import (
     parse_unit_scale,
     recognise_any,
 )
-from asbuilt.experiment.logs.columns.unnamed_columns import (
-    draft_sheet,
-    format_draft,
-    name_fields,
-)
+from asbuilt.experiment.logs.columns.unnamed_columns import draft_sheet
 from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
     choose_log_format,
@@ -40,7 +36,7 @@ from asbuilt.experiment.logs.formats.log_format import (
 from asbuilt.experiment.logs.mending import LogMender
 from asbuilt.experiment.logs.reading_options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange, find_sheet_beside, read_sheet
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import ENCODERS, Recording
 from asbuilt.experiment.root import root_of
 from asbuilt.findings import Cure
 from asbuilt.untrusted import note_input
@@ -75,17 +71,15 @@ def with_joint_units(
     offsets = dict(layout.offsets)
     for k, joint in enumerate(layout.joint_names):
         column = layout.quantities["position"][k]
-        if joint in units:
-            factor, offset = _find_conversion(units[joint])
-        elif column in table.ranges and _is_calibrated(table, column, sheet):
-            first, last, lower, upper = table.ranges[column]
-            calibrated = SheetRange(logged=(first, last), position=(lower, upper))
-            factor, offset = _find_conversion(calibrated)
-        else:
-            if column in table.open_units and held.get(joint) is None:
-                _refuse_open(table, column, joint, sheet)
+        unit = units.get(joint) or _find_calibrated_range(table, column, sheet)
+        if unit is None:
+            is_open = column in table.open_units and held.get(joint) is None
+            if is_open and not _states_unit(table, column, sheet):
+                raise _make_open_unit_error(table, column, joint)
             continue
-        shifts = {"position": offset, "command": offset, "velocity": 0.0, "acceleration": 0.0}
+        factor, offset = _find_conversion(unit)
+        of_position = dict.fromkeys(("position", "command", *ENCODERS.values()), offset)
+        shifts = {**of_position, "velocity": 0.0, "acceleration": 0.0}
         for quantity, shift in shifts.items():
             if quantity in layout.quantities:
                 column = layout.quantities[quantity][k]
@@ -94,10 +88,21 @@ def with_joint_units(
     return replace(layout, scales=scales, offsets=offsets)
 
 
-def _is_calibrated(table: LogTable, column: str, sheet: RecordingSheet) -> bool:
-    """Return whether a calibration gives the unit: the sheet gives none, or not the gripper's."""
-    stated = sheet.units.position is not None and not names_gripper(table.known[column][1])
-    return column not in table.open_units and not stated
+def _states_unit(table: LogTable, column: str, sheet: RecordingSheet) -> bool:
+    """Return whether the sheet gives the unit of a column of positions, not a gripper's."""
+    return sheet.units.position is not None and not names_gripper(table.known[column][1])
+
+
+def _find_calibrated_range(
+    table: LogTable, column: str, sheet: RecordingSheet
+) -> SheetRange | None:
+    """Return the range of a column by its calibration; None if it has none, or another unit."""
+    if column not in table.ranges or column in table.open_units:
+        return None
+    if _states_unit(table, column, sheet):
+        return None
+    first, last, lower, upper = table.ranges[column]
+    return SheetRange(logged=(first, last), position=(lower, upper))
 
 
 def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
@@ -110,11 +115,9 @@ def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
     return factor, lower - factor * first
 
 
-def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet) -> None:
-    """Raise unless the sheet gives the unit of positions, in which grippers are not."""
+def _make_open_unit_error(table: LogTable, column: str, joint: str) -> RecordingError:
+    """Return the error of a column of positions whose unit neither log nor sheet gives."""
     gripper = names_gripper(table.known[column][1])
-    if sheet.units.position is not None and not gripper:
-        return
     values = table.columns[column]
     first = float(np.nanmin(values))
     last = float(np.nanmax(values))
@@ -126,15 +129,11 @@ def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet
     )
     if column in table.ranges:
         mostly = "the motion fits degrees and -100 to 100 of the calibrated range alike"
-        ends = {
-            known: (table.ranges[each][2:])
-            for each, (quantity, known) in table.known.items()
-            if quantity == "position" and each in table.ranges
-        }
         lines = "\n".join(
             f"{known} = {{ logged = [-100, 100], position = [{lower:.6f}, {upper:.6f}] }}"
-            for known, (lower, upper) in ends.items()
-            if not names_gripper(known)
+            for name, (_, _, lower, upper) in table.ranges.items()
+            for quantity, known in [table.known[name]]
+            if quantity == "position" and not names_gripper(known)
         )
         cure = (
             'write [units] position = "deg" in a recording sheet; or, for -100 to 100, from the'
@@ -150,7 +149,7 @@ def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet
             f" [joint_units] {joint} = {{ logged = [0, 100], position = [CLOSED, OPEN] }}, or"
             f' {joint} = "deg"; or hold it at a position [rad or m]'
         )
-    raise RecordingError(
+    return RecordingError(
         f"{table.source}: the unit of {joint}, which runs from {first:.3g} to {last:.3g}, is not"
         f" known: {mostly}",
         cure=Cure(
@@ -327,16 +326,15 @@ def find_table_layout(
     """
     if not table.named and sheet.columns.position is None:
         count = len(table.order or table.columns)
-        content, others = draft_sheet(table, model, options.rate or sheet.rate)
-        draft = format_draft(content, others)
+        draft = draft_sheet(table, model, options.rate or sheet.rate)
         raise RecordingError(
             f"{table.source} has {count} columns without a header row",
             cure=Cure(
                 f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from"
                 " the values it may read as follows (column numbers from 1; check it, and add"
                 " gains = [...] and torque_source if the torques are currents):\n\n"
-                f"{draft}\n",
-                sheet=name_fields(content),
+                f"{draft.text}\n",
+                sheet=draft.certain,
             ),
             file=table.source,
             value=count,
@@ -348,12 +346,11 @@ def find_table_layout(
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
         if "absent" in problem.fields and table.n_samples:
-            content, others = draft_sheet(table, model, options.rate or sheet.rate)
-            if "columns" in content:
-                draft = format_draft(content, others)
+            draft = draft_sheet(table, model, options.rate or sheet.rate)
+            if draft.decides:
                 problem.cure = Cure(
-                    f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n",
-                    sheet=name_fields(content),
+                    f"{problem.cure}. From the values it may read (check it):\n\n{draft.text}\n",
+                    sheet=draft.certain,
                 )
         raise
     if not (sheet.joint_units or table.open_units or table.ranges):

@@ -55,11 +55,7 @@ from asbuilt.experiment.quality.signal_checks import (
 )
 from asbuilt.experiment.quality.torque_checks import check_torques
 from asbuilt.experiment.quality.torque_fit import TorqueFit
-from asbuilt.experiment.quality.unit_checks import (
-    find_counts,
-    find_position_unit,
-    report_position_unit,
-)
+from asbuilt.experiment.quality.unit_checks import check_position_unit
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.experiment.root import root_of
 from asbuilt.experiment.signal.samples import Samples
@@ -289,7 +285,7 @@ def check_recording(
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
         findings += check_followers(model, beginning) if follows else ()
-    findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
+    findings += report_locks(model)
     reported = {(finding.code, finding.link) for finding in findings}
     findings += (f for f in _report_description(model) if (f.code, f.link) not in reported)
     findings += map(_report_note, known.first.notes)
@@ -369,14 +365,10 @@ def _check_in_time(
     # Segments are read in a second pass, as the first one finds where they lie.
     closer = run_second_pass(model, chunks, known)
     motion = closer.motion
-    counts = find_counts(model, known, motion)
-    if counts is not None:
-        # Positions in counts make every later comparison wrong.
-        yield counts.finding()
-        return
-    unit = "" if motion is None else find_position_unit(model, known, motion)
-    if unit:
-        yield report_position_unit(unit)
+    # Positions in another unit make every later comparison wrong.
+    other_unit = check_position_unit(model, known, motion)
+    if other_unit is not None:
+        yield other_unit
         return
     excess = find_impossible_motion(model, known, motion)
     of_motion = list(check_recorded_motion(model, known, motion, excess))

@@ -12,7 +12,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.quality.reductions import normalise_columns
+from asbuilt.experiment.quality.passes import still_ranges
+from asbuilt.experiment.quality.reductions import find_swapped_columns, normalise_columns
 from asbuilt.experiment.quality.torque_fit import COMPARED_TORQUES
 from asbuilt.experiment.recording import Recording, find_advancing_rows
 from asbuilt.findings import Cure, Finding, join_names
@@ -144,8 +145,7 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
         return None
     q = np.column_stack([np.interp(at, t, x) for x in q.T])
     u = u[last]
-    # Range of positions [rad, m] from which a joint is tested.
-    smallest = np.array([0.05 if joint.is_revolute else 0.005 for joint in model.joints])
+    smallest = still_ranges(model)
     extent = np.ptp(q, axis=0)
     # A command that never changes has no correlation with anything.
     constant = np.ptp(u, axis=0) <= 0.01 * extent
@@ -232,18 +232,9 @@ def _find_swapped(motion: _Motion) -> dict[int, int]:
 
     A joint that follows a command of one that follows its own as well moves in step with that.
     """
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
-
     moving = motion.moving
-    if len(moving) < 2:
-        return {}
     best = np.array([[motion.best(i, j, EVERY_LAG)[0] for j in moving] for i in moving])
-    pairs = {
-        moving[i]: moving[j]
-        # The one assignment of all joints that correlates best.
-        for i, j in zip(*linear_sum_assignment(-best), strict=True)
-        if best[i, j] > FOLLOWED and best[i, i] < LOST
-    }
+    pairs = {moving[i]: moving[j] for i, j in find_swapped_columns(best, FOLLOWED, LOST)}
     # A cycle of joints: an open chain has another cause.
     return pairs if set(pairs) == set(pairs.values()) else {}
 

@@ -12,7 +12,12 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.quality.passes import position_limits
-from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
+from asbuilt.experiment.quality.torque_fit import (
+    CLEAR,
+    FALL,
+    TorqueFit,
+    compare_by_any_masses,
+)
 from asbuilt.findings import Cure, Finding, join_names
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
@@ -20,13 +25,7 @@ QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 
 
 DOUBTFUL = 0.75
-CLEAR = 0.9
-"""Correlation, or cosine, of measured with rigid-body torques from which a convention is not
-doubted, and that another one must reach. In recordings of seven real robots the cosine is at least
-0.92 in the right direction of gravity, and at most 0.69 in directions across it.
-"""
-FALL = 2.0
-"""Fall of the misfit's logarithm, summed over joints, from which a convention is decisive."""
+"""Correlation, or cosine, from which a convention is not doubted; another one must be `CLEAR`."""
 Convention = tuple[float, float, float]
 """Signs of position and torque, and zero: `sign (logged - zero)` is the model's position."""
 DESCRIBED: Convention = (1.0, 1.0, 0.0)
@@ -113,9 +112,7 @@ def check_conventions(
     fallen = _find_improved_joints(fit, best.fit)
     if best is logged or not fallen.size:
         return None
-    before, after = (
-        float(np.mean(np.abs(torque_fit.correlation[fallen]))) for torque_fit in (fit, best.fit)
-    )
+    before, after = fit.compare_correlation(best.fit, fallen)
     # What 1 lacks must fall to half: a convention changes the sign or the form of a torque.
     if after <= CLEAR or 1.0 - after > 0.5 * (1.0 - before):
         return None
@@ -179,7 +176,7 @@ def check_zeros(
     better = _find_improved_joints(fit, after)
     if not zeros.any() or min(costs) > cost(as_logged) or better.size < 2 - len(of_encoders):
         return None
-    before, now = (float(np.mean(np.abs(each.correlation[better]))) for each in (fit, after))
+    before, now = fit.compare_correlation(after, better)
     by_masses = compare_by_any_masses(fit, after)
     if now <= CLEAR or by_masses < 0:
         return None

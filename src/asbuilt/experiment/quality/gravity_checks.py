@@ -6,16 +6,22 @@ balancers take away the gravity of masses that accelerations need.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.quality.conventions import CLEAR, DOUBTFUL, FALL
-from asbuilt.experiment.quality.torque_fit import BETTER, TorqueFit, measure_any_masses
+from asbuilt.experiment.quality.conventions import DOUBTFUL
+from asbuilt.experiment.quality.torque_fit import (
+    BETTER,
+    CLEAR,
+    FALL,
+    TorqueFit,
+    measure_any_masses,
+)
 from asbuilt.findings import Cure, Finding
 
 FREE_FALL = float(np.linalg.norm(USUAL_GRAVITY))
@@ -35,7 +41,7 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 def measure_gravity_share(fit: TorqueFit) -> float:
     """Return the share of gravity by CAD in that of accelerations; NaN if it is not clear."""
-    return _TorqueParts.of(fit).gravity_share()
+    return _TorqueParts.of(fit).measure_share(fit.model.gravity)
 
 
 def check_gravity(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
@@ -180,15 +186,11 @@ def find_friction_sign(fit: TorqueFit) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _TorqueParts:
-    """Hold torques (N, n): measured, modelled without gravity, and of gravity of 1 m/s^2 (3).
-
-    `whole_gravity` is the torque of the description's gravity.
-    """
+    """Hold torques (N, n): measured, modelled without gravity, and of 1 m/s^2 along each axis."""
 
     measured: Array
     motion: Array
-    gravity: Sequence[Array]
-    whole_gravity: Array
+    gravity: Array
 
     @classmethod
     def of(cls, fit: TorqueFit) -> _TorqueParts:
@@ -199,36 +201,33 @@ class _TorqueParts:
         still = torque(np.zeros(3))
         # Linear in gravity: three axes give every direction.
         x, y, z = (torque(axis) - still for axis in np.eye(3))
-        measured, m, *g = (fit.without_friction(torque) for torque in (fit.tau, still, x, y, z))
-        whole = sum(
-            (a * part for a, part in zip(fit.model.gravity, g, strict=True)), np.zeros_like(m)
-        )
-        return cls(measured, m, g, whole)
+        measured, motion, *axes = map(fit.without_friction, (fit.tau, still, x, y, z))
+        return cls(measured, motion, np.stack(axes))
 
     def at(self, gravity: Array) -> float:
         """Return the cosine of measured and modelled torques under a gravity [m/s^2]."""
-        parts = zip(gravity, self.gravity, strict=True)
-        x = self.motion + sum((g * part for g, part in parts), np.zeros_like(self.motion))
+        x = self.motion + np.tensordot(gravity, self.gravity, 1)
         norms = float(np.linalg.norm(x) * np.linalg.norm(self.measured))
         return float(np.sum(x * self.measured)) / norms if norms > 0 else 0.0
 
-    def gravity_share(self) -> float:
-        """Return the least-squares share of gravity, in that of accelerations; NaN if unclear."""
-        columns = np.stack([self.motion.ravel(), self.whole_gravity.ravel()], axis=1)
+    def measure_share(self, gravity: ArrayLike) -> float:
+        """Return the least-squares share of a gravity, in that of accelerations; NaN if unclear."""
+        whole = np.tensordot(np.asarray(gravity), self.gravity, 1)
+        columns = np.stack([self.motion.ravel(), whole.ravel()], axis=1)
         y = self.measured.ravel()
         # A vertical axis has no gravity, a robot at rest no acceleration.
         size = np.linalg.norm(columns, axis=0)
         if not np.all(size > 0.0):
             return np.nan
-        motion, gravity = np.linalg.lstsq(columns / size, y, rcond=None)[0] / size
-        explained = np.linalg.norm(columns @ [motion, gravity])
+        of_motion, of_gravity = np.linalg.lstsq(columns / size, y, rcond=None)[0] / size
+        explained = np.linalg.norm(columns @ [of_motion, of_gravity])
         # A fit that leaves much has no shares to compare.
-        clear = explained > CLEAR * np.linalg.norm(y) and motion != 0.0
-        return abs(float(gravity / motion)) if clear else np.nan
+        clear = explained > CLEAR * np.linalg.norm(y) and of_motion != 0.0
+        return abs(float(of_gravity / of_motion)) if clear else np.nan
 
     def estimated(self) -> Array:
         """Return the gravity of free fall in the direction of least squares, to three digits."""
-        columns = np.stack([part.ravel() for part in self.gravity], axis=1)
+        columns = self.gravity.reshape(3, -1).T
         # The length is that of free fall; least squares would take in errors of masses.
         g = np.linalg.lstsq(columns, (self.measured - self.motion).ravel(), rcond=None)[0]
         norm = float(np.linalg.norm(g)) or np.inf

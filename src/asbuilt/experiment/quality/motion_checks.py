@@ -14,14 +14,13 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.gravity_checks import measure_gravity_share
-from asbuilt.experiment.quality.passes import FirstPass
+from asbuilt.experiment.quality.passes import FirstPass, still_ranges
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import (
     USUAL_FRICTION,
     TorqueFit,
     compare_by_any_masses,
 )
-from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -33,20 +32,19 @@ FEWEST_ALIKE = 3
 RATE_TOO_HIGH = 4.0
 """Share of gravity in that of accelerations from which a clock is too fast: by half. Armatures
 that the description lacks, and gains, make the share smaller."""
-USUAL_PEAK = 99.5
-"""Percentile of the speeds that counts as the largest: single samples may be noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """Say why motion in radians is impossible: degrees, another rate, or another robot.
+    """Say why motion in radians is impossible: degrees, a rate too high, or another robot.
 
     Parameters
     ----------
     evidence
         What exceeds which limit, as text.
     unit
-        Unit of the positions that the torques support, None if they support neither.
+        Unit of the positions that the torques support, None if they support neither; radians only
+        at a lower rate.
     rate
         Highest rate [Hz] at which every joint keeps its limit of velocity in radians; None if the
         positions themselves are impossible.
@@ -64,17 +62,9 @@ class Excess:
             ""
             if self.rate is None
             else f"the rate of {given:.4g} Hz is too high; every limit of velocity is kept up to"
-            # The unit and the rate are told apart by what the torques support.
             f" {self.rate:.3g} Hz"
         )
-        if self.unit == "rad" and not slower:
-            return Finding(
-                "position_limit",
-                "error",
-                f"the positions are another robot's, or count from another zero: {self.evidence},"
-                " and the torques follow gravity at these positions in radians",
-                Cure("choose the robot recorded, or write zero = [...] in a recording sheet"),
-            )
+        # The unit and the rate are told apart by what the torques support.
         if self.unit == "rad":
             return Finding(
                 "rate_wrong",
@@ -83,12 +73,13 @@ class Excess:
                 " radians",
                 Cure(right_rate, settings={"rate": "HZ"}),
             )
-        other = ""
-        cure = Cure(convert)
-        if self.unit is None and slower:
+        if self.unit == "deg":
+            other = ""
+            cure = Cure(convert, sheet={"units": {"position": "deg"}})
+        elif slower:
             other = f", or {slower}"
             cure = Cure(f"{convert}; or {right_rate}", settings={"rate": "HZ"})
-        elif self.unit is None:
+        else:
             other = ", or another robot's"
             cure = Cure(f"choose the robot recorded, or {convert}")
         kept = "" if slower else ", and as degrees every joint keeps its limits"
@@ -96,7 +87,7 @@ class Excess:
             "degrees",
             "error",
             f"the positions look like degrees{other}: {self.evidence}{kept}",
-            replace(cure, sheet={} if self.unit is None else {"units": {"position": "deg"}}),
+            cure,
         )
 
 
@@ -161,10 +152,8 @@ def _find_far_position(
     model: RobotModel, statistics: FirstPass, turning: list[int]
 ) -> tuple[str, float]:
     """Return which position is far outside its limits, empty if none is, and the largest one."""
-    extremes = statistics.position_range
     joints = [model.joints[k] for k in turning]
-    largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
-    largest = np.where(extremes.count > 0, largest, np.nan)[turning]
+    largest = statistics.position_range.furthest[turning]
     bounds = np.array([max(abs(joint.limits.lower), abs(joint.limits.upper)) for joint in joints])
     # A joint without limits turns once.
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
@@ -183,11 +172,16 @@ def _find_far_position(
     ), float(np.max(largest))
 
 
+def _measure_speeds(motion: SmoothedMotion) -> Array:
+    """Return the largest speed of each joint (n,), but for single samples, which may be noise."""
+    return np.asarray(np.percentile(np.abs(motion.qd), 99.5, axis=0))
+
+
 def _find_fast_joint(
     model: RobotModel, motion: SmoothedMotion, turning: list[int]
 ) -> tuple[str, float]:
     """Return which joint is far too fast, empty if none is, and how many times its limit."""
-    speed = np.percentile(np.abs(motion.qd[:, turning]), USUAL_PEAK, axis=0)
+    speed = _measure_speeds(motion)[turning]
     fastest = np.array([model.joints[k].limits.velocity for k in turning])
     # A joint without a limit of velocity is taken to turn at 10 rad/s.
     # A speed in degrees must be a usual one, so that converting cures it.
@@ -207,9 +201,7 @@ def check_recorded_motion(
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(find_velocity_unit(model, statistics, motion, motion.logged_qd))
-        # A wrong unit makes every comparison of velocities wrong: the first finding is the cause.
-        velocities = velocities or list(check_velocities(statistics, motion, motion.logged_qd))
+        velocities = list(check_velocities(model, statistics, motion, motion.logged_qd))
     if excess is None:
         yield from _find_millimetres(model, statistics)
         yield from _check_limits(model, statistics)
@@ -229,9 +221,8 @@ def _find_millimetres(model: RobotModel, statistics: FirstPass) -> Iterator[Find
         bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
         # A slide without limits is no longer than the robot.
         bound = bound if np.isfinite(bound) else stretched_length(model)
-        extremes = statistics.position_range
         # By absolute position: millimetres are off by a factor, not by a shift.
-        furthest = float(max(abs(extremes.low[k]), abs(extremes.high[k])))
+        furthest = float(statistics.position_range.furthest[k])
         # 1e-3: a millimetre in metres.
         if joint.is_revolute or not FAR < furthest / bound < 1e3 * KEPT:
             continue
@@ -273,26 +264,19 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
     if not known.size:
         return
-    ratio = np.percentile(np.abs(motion.qd[:, known]), USUAL_PEAK, axis=0) / limits[known]
+    ratio = _measure_speeds(motion)[known] / limits[known]
     # Multiple of its limit at the median joint from which the rate is doubted.
     if np.median(ratio) <= 1.2:
         return
     k = int(np.argmax(ratio))
-    # Descriptions that are converted from drawings have one number as every limit.
-    if known.size >= FEWEST_ALIKE and np.ptp(limits[known]) == 0.0:
-        yield Finding(
-            "limits_doubted",
-            "info",
-            f"every limit of velocity of {model.name} is {limits[known[0]]:.4g}, and"
-            f" {model.joint_names[known[k]]} moves {ratio[k]:.3g} times as fast: they look like"
-            " placeholders, and say nothing of the log",
-            Cure("write the true limits into the description"),
-        )
-        return
-    yield Finding(
+    name = model.joint_names[known[k]]
+    placeholders = doubt_limits(
+        model, "velocity", limits[known], f"{name} moves {ratio[k]:.3g} times as fast"
+    )
+    yield placeholders or Finding(
         "velocity_limit",
         "warning",
-        f"most joints exceed their limits of velocity, {model.joint_names[known[k]]}"
+        f"most joints exceed their limits of velocity, {name}"
         # The rate that the fastest joint would allow.
         f" {ratio[k]:.2g} times: the rate of {rate:.4g} Hz is too high (limits allow"
         f" {rate / ratio[k]:.3g} Hz), or the limits are wrong",
@@ -300,23 +284,33 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     )
 
 
+def doubt_limits(model: RobotModel, quantity: str, limits: Array, exceeded: str) -> Finding | None:
+    """Return that one number is the limit of all joints, which the log has `exceeded`."""
+    # Descriptions that are converted from drawings have one number as every limit.
+    if limits.size < FEWEST_ALIKE or np.ptp(limits) > 0.0:
+        return None
+    return Finding(
+        "limits_doubted",
+        "info",
+        f"every limit of {quantity} of {model.name} is {limits[0]:.4g}, and {exceeded}: they look"
+        " like placeholders, and say nothing of the log",
+        Cure("write the true limits into the description"),
+    )
+
+
 def _find_still(model: RobotModel, statistics: FirstPass, scale: float) -> Iterator[Finding]:
-    still: list[tuple[str, float, str]] = []
+    """Find joints that hardly move; `scale` converts positions of joints that turn to rad."""
     extremes = statistics.position_range
-    for k, joint in enumerate(model.joints):
-        # Position range below which a joint hardly moves [rad or m].
-        factor, least = (scale, 0.05) if joint.is_revolute else (1.0, 0.005)
-        span = float(extremes.high[k] * factor - extremes.low[k] * factor)
-        span = span if extremes.count[k] else 0.0
-        if span < least:
-            still.append((joint.name, span, joint.unit))
-    if len(still) == model.n_joints:
-        name, span, unit = max(still, key=lambda joint: joint[1])
+    factor = np.where([joint.is_revolute for joint in model.joints], scale, 1.0)
+    span = np.where(extremes.count > 0, factor * (extremes.high - extremes.low), 0.0)
+    still = np.flatnonzero(span < still_ranges(model))
+    if still.size == model.n_joints:
+        k = int(np.argmax(span))
         yield Finding(
-            # A range in degrees is converted, so that one threshold serves both units.
             "nothing_moves",
             "error",
-            f"no joint moves: the largest position range is {span:.3g} {unit}, the range of {name}",
+            f"no joint moves: the largest position range is {span[k]:.3g} {model.joints[k].unit},"
+            f" the range of {model.joint_names[k]}",
             Cure(
                 "record the robot in motion, and check that the position columns are the measured"
                 " ones",
@@ -324,14 +318,15 @@ def _find_still(model: RobotModel, statistics: FirstPass, scale: float) -> Itera
             ),
         )
         return
-    for name, span, unit in still:
+    for k in still.tolist():
+        joint = model.joints[k]
         yield Finding(
             "joint_still",
             "warning",
-            f"{name} hardly moves: its position range is {span:.3g} {unit}; its friction and part"
-            " of its inertia stay undetermined",
+            f"{joint.name} hardly moves: its position range is {span[k]:.3g} {joint.unit}; its"
+            " friction and part of its inertia stay undetermined",
             Cure("move every joint over a large part of its range", call="design_motion"),
-            joint=name,
+            joint=joint.name,
         )
 
 

@@ -25,7 +25,7 @@ from asbuilt.experiment.recording import (
     find_changed_rows,
     join_recordings,
 )
-from asbuilt.experiment.signal.prepared_motion import find_spikes
+from asbuilt.experiment.signal.resampling import find_spikes
 from asbuilt.findings import Cure
 
 Bits = np.ndarray[tuple[int], np.dtype[np.uint8]]
@@ -293,6 +293,11 @@ def position_limits(model: RobotModel) -> tuple[Array, Array]:
         np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints]),
         np.where(endless, np.inf, [joint.limits.upper for joint in model.joints]),
     )
+
+
+def still_ranges(model: RobotModel) -> Array:
+    """Return the range of positions [rad or m] below which each joint hardly moves, (n,)."""
+    return np.array([0.05 if joint.is_revolute else 0.005 for joint in model.joints])
 
 
 def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:

@@ -49,6 +49,11 @@ class Extremes:
             np.maximum(self.high, values.max(axis=0, where=finite, initial=-np.inf)),
         )
 
+    @property
+    def furthest(self) -> Array:
+        """Largest size of each column, (n,); NaN where there is no value."""
+        return np.where(self.count > 0, np.maximum(np.abs(self.low), np.abs(self.high)), np.nan)
+
 
 @dataclass(frozen=True, eq=False)
 class Exceedance:
@@ -413,6 +418,24 @@ def _derive_cubic_taps(window: int, step: float) -> list[Array]:
 def _resample(even: Array, t: Array, values: Array) -> Array:
     """Return the columns of values (L, n) at the times `even` (N,) as rows (n, N)."""
     return np.array([np.interp(even, t, column) for column in np.ascontiguousarray(values.T)])
+
+
+def find_swapped_columns(correlation: Array, other: float, own: float) -> list[tuple[int, int]]:
+    """Return rows that correlate with the column of another, and not with their own, with these.
+
+    More than `other` with the other's, and less than `own`, which is smaller, with their own.
+    """
+    # Rows that move in step correlate with all columns: their own correlation must be poor.
+    if np.all(np.diag(correlation) >= own):
+        return []
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
+
+    # One assignment of all columns: pairs alone would miss a cycle.
+    return [
+        (int(row), int(column))
+        for row, column in zip(*linear_sum_assignment(-correlation), strict=True)
+        if correlation[row, column] > other and correlation[row, row] < own
+    ]
 
 
 def normalise_columns(x: Array) -> Array:

@@ -15,7 +15,7 @@ from asbuilt.experiment.command.magnitude import (
     fit_magnitude_laws,
     is_magnitude,
 )
-from asbuilt.experiment.quality.motion_checks import FEWEST_ALIKE
+from asbuilt.experiment.quality.motion_checks import doubt_limits
 from asbuilt.experiment.quality.passes import FirstPass, Missing, SecondPass
 from asbuilt.experiment.quality.reductions import GAP_STEPS, MOST_REPEATS, Extremes
 from asbuilt.experiment.recording import Recording
@@ -60,7 +60,9 @@ def check_saturation(
     An extreme of zero is none: magnitudes rest there.
     """
     n_changed = statistics.repeats.n_changed
-    doubted = _doubt_torque_limits(model, statistics)
+    # Currents have no limit in the description's unit.
+    limited = statistics.first.torque_source != "current"
+    doubted = _doubt_torque_limits(model, statistics) if limited else None
     if doubted is not None:
         yield doubted
     for k, joint in enumerate(model.joints):
@@ -86,11 +88,9 @@ def check_saturation(
                 )
         limit = joint.limits.torque
         over = int(statistics.saturated.count[k])
-        # Currents have no limit in the description's unit.
-        stated = 0.0 < limit < np.inf and statistics.first.torque_source != "current"
-        stated = stated and doubted is None
+        believed = limited and doubted is None and 0.0 < limit < np.inf
         # From half of the samples on the limit itself is doubted elsewhere.
-        if closer.plateaus[k] and stated and 3 <= over < 0.5 * n_changed:
+        if closer.plateaus[k] and believed and 3 <= over < 0.5 * n_changed:
             yield Finding(
                 "torque_limit",
                 "warning",
@@ -106,23 +106,15 @@ def _doubt_torque_limits(model: RobotModel, statistics: FirstPass) -> Finding | 
     """Return that one number is the torque limit of every joint, which the log exceeds."""
     limits = np.array([joint.limits.torque for joint in model.joints])
     known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
-    current = statistics.first.torque_source == "current"
-    if current or known.size < FEWEST_ALIKE or np.ptp(limits[known]) > 0.0:
+    if not known.size:
         return None
     # Joints that stay below their limits have no value.
-    reached = np.where(statistics.saturated.count > 0, np.abs(statistics.saturated.value), 0.0)[
-        known
-    ]
-    k = int(np.argmax(reached))
-    if reached[k] < EXCEEDED * limits[known[k]]:
+    reached = np.where(statistics.saturated.count > 0, np.abs(statistics.saturated.value), 0.0)
+    k = known[np.argmax(reached[known])]
+    if reached[k] < EXCEEDED * limits[k]:
         return None
-    return Finding(
-        "limits_doubted",
-        "info",
-        f"every limit of torque of {model.name} is {limits[known[k]]:.4g}, and"
-        f" {model.joint_names[known[k]]} has {reached[k]:.4g}: they look like placeholders, and"
-        " say nothing of the log",
-        Cure("write the true limits into the description"),
+    return doubt_limits(
+        model, "torque", limits[known], f"{model.joint_names[k]} has {reached[k]:.4g}"
     )
 
 

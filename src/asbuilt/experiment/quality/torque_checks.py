@@ -17,6 +17,7 @@ from asbuilt.experiment.quality.gravity_checks import check_gravity, find_fricti
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import (
+    CLEAR,
     TorqueFit,
     compare_by_any_masses,
     find_best_assignment,
@@ -26,10 +27,9 @@ from asbuilt.experiment.quality.torque_fit import (
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE, UNWRAPPED
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
-CLEAR = 0.9
 CERTAIN = 0.95
-"""Correlations with the model's torque from which sign and scale of a joint are clear, and from
-which a single joint may be reported to differ from the others."""
+"""Correlation with the model's torque from which the scale of a single joint may differ from the
+others'."""
 PLAUSIBLE = 0.3, 3.0
 """Gain that masses unlike CAD explain; beyond, the unit of the torque differs. The masses of CAD
 are known to some tens of percent, and gravity dominates."""
@@ -47,7 +47,7 @@ def check_torques(
     fit = TorqueFit.of(model, motion, position_scale)
     # Without masses there is no torque to compare with.
     if not np.any(fit.predicted > 0):
-        yield from _check_without_masses(fit)
+        yield from _check_without_masses(statistics, fit)
         return
     if fit.ratio == 0:
         yield Finding(
@@ -92,7 +92,7 @@ def _list_wrapped_joints(statistics: FirstPass) -> tuple[int, ...]:
     return tuple(range(statistics.n_joints)) if wrapped else ()
 
 
-def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
+def _check_without_masses(statistics: FirstPass, fit: TorqueFit) -> Iterator[Finding]:
     """Check signs by friction, and the scale by the length of the arm."""
     model = fit.model
     friction = fit.friction_correlation
@@ -111,11 +111,11 @@ def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
         " the scale of the torques",
         Cure("use a description with masses to have them checked"),
     )
-    yield from _check_signs_by_friction(fit)
+    yield from _check_signs_by_friction(statistics, fit)
     yield from check_scale_without_masses(fit)
 
 
-def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
+def _check_signs_by_friction(statistics: FirstPass, fit: TorqueFit) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
     model = fit.model
     friction = fit.friction_correlation
@@ -131,15 +131,10 @@ def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
         )
         yield Finding(
             "torque_flipped",
-            "error" if sure else "warning",
+            "error" if sure and "sign" not in statistics.first.stated else "warning",
             "the torque sign looks flipped: torques correlate negatively with the direction of"
             f" motion, unlike friction ({listed})",
-            _make_signs_cure(model, -1.0, right)
-            if right
-            else Cure(
-                "flip the torque sign, or write sign = -1 in a recording sheet",
-                settings={"flip_torque": True},
-            ),
+            _make_flip_cure(statistics, -1.0, right),
         )
         return
     for k in wrong:
@@ -155,7 +150,7 @@ def _report_driven_motion(
         "warning",
         f"the torque of {model.joint_names[k]} correlates negatively with its direction of motion"
         f" ({correlation:.2f}), unlike friction; its sign may be flipped",
-        _make_signs_cure(model, sign, wrong),
+        _make_signs_cure(model.n_joints, sign, wrong),
         joint=model.joint_names[k],
     )
 
@@ -174,7 +169,7 @@ def _report_swapped(fit: TorqueFit, best: TorqueFit, severity: Severity) -> Find
             else f"the position of {motion} and the torque of {torque}"
         )
         fits.append(f"{names[k]} fits {what}")
-    before, after = (float(np.mean(np.abs(f.correlation[moved]))) for f in (fit, best))
+    before, after = fit.compare_correlation(best, np.array(moved))
     return Finding(
         "joints_swapped",
         severity,
@@ -210,7 +205,7 @@ def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -
     # A correlation must be clear before gain or sign is read from it.
     clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > CLEAR))]
     if not clear:
-        yield from _find_uncorrelated(model, correlation, gain, predicted)
+        yield from _find_uncorrelated(fit, gain)
         return
     evidence = "; ".join(
         f"{names[k]}: gain {gain[k]:.3g}, correlation {correlation[k]:.3f}"
@@ -224,27 +219,18 @@ def _check_sign_and_scale(statistics: FirstPass, fit: TorqueFit, ratio: float) -
     # Beyond these gains relative to the others the unit or gain of a joint differs.
     # A gain far from the others' is another fault than a sign.
     usual = (relative > 0.2) & (relative < 5.0)
-    alone = [
-        k
-        for k in np.flatnonzero(fit.decides & usual).tolist()
-        # A joint alone needs more certainty than one among many.
-        if sign * correlation[k] < -(CLEAR if k in clear else CERTAIN)
-    ]
+    alone = [k for k in clear if usual[k] and sign * correlation[k] < 0.0]
     if flipped:
         yield Finding(
             "torque_flipped",
             _weigh_flip(statistics, fit, clear),
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            _make_signs_cure(model, sign, alone)
-            if alone
-            else _make_flip_cure(statistics.first.notes),
+            _make_flip_cure(statistics, sign, alone),
         )
-    unclear = ~np.isin(np.arange(model.n_joints), clear)
     # Where rigid bodies say nothing friction does.
-    friction = sign * fit.correlate_friction(np.flatnonzero(unclear))
+    friction = sign * fit.correlate_friction(set(range(model.n_joints)) - set(clear))
     braking = np.flatnonzero(friction < -BRAKING).tolist()
-    braking = [k for k in braking if k not in alone]
     for k in alone:
         yield _report_opposite_sign(statistics, fit, k, sign, alone, gain[k])
     for k in braking:
@@ -342,29 +328,33 @@ def _report_opposite_sign(
         "joint_torque_flipped",
         "error" if sure else "warning",
         f"the torque of {name} alone has the opposite sign of the model's ({evidence})",
-        _make_signs_cure(fit.model, sign, alone),
+        _make_signs_cure(fit.model.n_joints, sign, alone),
         joint=name,
     )
 
 
-def _find_uncorrelated(
-    model: RobotModel, correlation: Array, gain: Array, predicted: Array
-) -> Iterator[Finding]:
+def _find_uncorrelated(fit: TorqueFit, gain: Array) -> Iterator[Finding]:
     """Find torques unlike the model's, unless noise or friction of the model's size explains it."""
+    predicted = fit.predicted
     k = int(np.argmax(predicted))
+    correlation = fit.correlation[k]
     # Noise and friction of the model's size hide a correlation, and need no finding.
-    if not (correlation[k] > 0.3 and 0.8 < gain[k] < 1.25):
+    if not (correlation > 0.3 and 0.8 < gain[k] < 1.25):
         yield Finding(
             "torque_uncorrelated",
             "warning",
-            f"no torque of the log correlates with the model's: {correlation[k]:.2f} for"
-            f" {model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
+            f"no torque of the log correlates with the model's: {correlation:.2f} for"
+            f" {fit.model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
             Cure("check robot, columns and units, and gravity if the robot hangs or is on a wall"),
         )
 
 
-def _make_flip_cure(notes: Collection[str]) -> Cure:
-    """Return the cure of all signs, which may have been flipped already."""
+def _make_flip_cure(statistics: FirstPass, sign: float, others: Collection[int]) -> Cure:
+    """Return the cure of signs that are flipped, at all joints but `others`."""
+    if others:
+        return _make_signs_cure(statistics.n_joints, sign, others)
+    # All may have been flipped already.
+    notes = statistics.first.notes
     if FLIPPED_TWICE in notes:
         return Cure(
             "keep one of the two flips: sign = -1 in the recording sheet, or the flip of all"
@@ -377,9 +367,9 @@ def _make_flip_cure(notes: Collection[str]) -> Cure:
     )
 
 
-def _make_signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -> Cure:
+def _make_signs_cure(n_joints: int, sign: float, flipped: Collection[int]) -> Cure:
     """Return the cure of signs, where the `flipped` joints have the opposite of all others."""
-    signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(model.n_joints))
+    signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(n_joints))
     return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
 
 

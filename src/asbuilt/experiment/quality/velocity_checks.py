@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.reductions import SmoothedMotion, normalise_columns
+from asbuilt.experiment.quality.reductions import (
+    SmoothedMotion,
+    find_swapped_columns,
+    normalise_columns,
+)
+from asbuilt.experiment.quality.unit_checks import MOST_ROWS, fit_joint
 from asbuilt.findings import Cure, Finding, join_names
 
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
@@ -18,12 +27,28 @@ SWAPPED = 0.9
 OWN = 0.8
 """Least correlation of a swapped column with another joint's derivative, and largest with its own;
 a flipped sign has the negative of the second."""
-_OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
-"""Revolutions per minute and per second, and thousandths."""
+ALIKE = 0.05
+"""Difference of the velocities' factors of joints, relative to one, up to which they are one unit;
+also of a factor and a known unit's."""
+FOLLOW = 0.95
+"""Correlation of velocities with the derivative of the positions from which only units differ."""
+DEGREES_WITHIN = 0.2
+"""Difference of a factor and a degree, relative to it, up to which it is one."""
+KNOWN_VELOCITIES = {
+    "rpm": math.pi / 30.0,
+    "0.229 rpm": 0.229 * math.pi / 30.0,
+    "0.111 rpm": 0.111 * math.pi / 30.0,
+    "0.01 rpm": 0.01 * math.pi / 30.0,
+    "turn/s": 2.0 * math.pi,
+    "mrad/s": 1e-3,
+    "22.9 rad/s": 22.9,
+}
+"""Units of velocities of motors, and what they are in rad/s; the last one is of motors that count
+.229 rpm, converted as if they counted .01 rpm."""
 
 
 def check_velocities(
-    statistics: FirstPass, motion: SmoothedMotion, logged: Array
+    model: RobotModel, statistics: FirstPass, motion: SmoothedMotion, logged: Array
 ) -> Iterator[Finding]:
     """Find logged velocities that are zero, swapped, in another unit, wrong, late or disturbed."""
     names = statistics.first.joint_names
@@ -44,66 +69,39 @@ def check_velocities(
             )
         return
     correlation = normalise_columns(logged[:, moving]).T @ normalise_columns(slope[:, moving])
-    swapped = _list_swapped(correlation, moving)
+    swapped = [
+        (names[moving[a]], names[moving[b]])
+        for a, b in find_swapped_columns(correlation, SWAPPED, OWN)
+    ]
     if swapped:
-        pairs = join_names(
-            [f"the velocity of {names[a]} belongs to {names[b]}" for a, b in swapped]
-        )
+        pairs = join_names([f"the velocity of {a} belongs to {b}" for a, b in swapped])
         yield Finding(
             "velocity_swapped",
             "error",
             f"velocity columns are in another order than position columns: {pairs}",
             Cure("name the columns in a recording sheet: [columns] velocity = [...]"),
-            joint=names[swapped[0][0]],
+            joint=swapped[0][0],
         )
         return
     gain = np.sum(logged * slope, axis=0)[moving] / energy[moving]
-    middle = float(np.median(gain))
-    units = {
-        180 / np.pi: "degrees per second",
-        np.pi / 180: "radians per second while positions are degrees",
-    }
-    unit = next((u for f, u in units.items() if abs(middle / f - 1) < 0.2), None)
-    if unit is not None:
-        yield Finding(
-            "velocity_units",
-            "error",
-            f"the logged velocities are {middle:.4g} times the derivative of the positions: they"
-            f" look like {unit}",
-            Cure(
-                'write the unit in a recording sheet: units = { velocity = "deg/s" }',
-                # Only degrees have a cure in the sheet; the other way positions are wrong.
-                sheet={"units": {"velocity": "deg/s"}} if middle > 1.0 else {},
-            ),
-        )
-        return
-    rate = _find_right_rate(statistics, np.diag(correlation), gain)
-    if rate is not None:
-        yield Finding(
-            "rate_wrong",
-            "error",
-            f"the logged velocities of all {moving.size} joints that move are {middle:.4g} times"
-            f" the derivative of the positions: the rate is {rate:.4g} Hz, not"
-            f" {statistics.rate:.4g} Hz",
-            Cure(
-                "give that rate, or correct the time stamps; leave the velocity columns out if the"
-                " velocities are wrong instead",
-                settings={"rate": rate},
-            ),
-        )
+    match = np.diag(correlation)
+    # A wrong unit or clock makes every comparison after it wrong.
+    of_all = _explain_factor_of_all(model, statistics, motion, gain, match)
+    if of_all is not None:
+        yield of_all
         return
     low = 0.7  # gains of a usable velocity; the lower also bounds its correlation
     high = 1.4
-    for k, factor, match in zip(moving, gain, np.diag(correlation), strict=True):
-        if match < -OWN:
+    for k, factor, follows in zip(moving, gain, match, strict=True):
+        if follows < -OWN:
             message = (
                 f"the logged velocity of {names[k]} has the opposite sign of the derivative of its"
-                f" position (correlation {match:.3f})"
+                f" position (correlation {follows:.3f})"
             )
-        elif not low < factor < high or match < low:
+        elif not low < factor < high or follows < low:
             message = (
                 f"the logged velocity of {names[k]} is {factor:.3g} times the derivative of its"
-                f" position (correlation {match:.3f})"
+                f" position (correlation {follows:.3f})"
             )
         else:
             continue
@@ -112,23 +110,101 @@ def check_velocities(
     yield from _check_ends(statistics, motion, logged, moving.tolist())
 
 
-def _find_right_rate(statistics: FirstPass, correlation: Array, gain: Array) -> float | None:
-    """Return the rate [Hz] at which velocities are derivatives of positions, if there is one.
+def _explain_factor_of_all(
+    model: RobotModel,
+    statistics: FirstPass,
+    motion: SmoothedMotion,
+    gain: Array,
+    correlation: Array,
+) -> Finding | None:
+    """Return why all velocities are one multiple of the derivative: their unit, or the rate.
 
-    Units of velocity other than the units of the positions are no reason to doubt the rate.
+    `gain` and `correlation` (m,) are of the joints that move. A unit that is known is believed, as
+    is one where the torques agree with the clock; else the clock is wrong.
     """
-    # The same factor at all joints to a twentieth: no accident of single ones.
-    common = float(np.median(gain))
-    apart = 0.05
-    wrong = (
-        gain.size > 1
-        and common > 0.0
-        and abs(common - 1.0) > 0.15
-        and np.all(np.abs(gain / common - 1.0) < apart)
-        and np.all(correlation >= 0.95)
-        and not any(abs(common / unit - 1.0) < apart for unit in _OTHER_UNITS)
+    middle = float(np.median(gain))
+    degrees = {
+        1.0 / DEGREE: "degrees per second",
+        DEGREE: "radians per second while positions are degrees",
+    }
+    for factor, looks in degrees.items():
+        if abs(middle / factor - 1.0) < DEGREES_WITHIN:
+            return Finding(
+                "velocity_units",
+                "error",
+                f"the logged velocities are {middle:.4g} times the derivative of the positions:"
+                f" they look like {looks}",
+                Cure(
+                    'write the unit in a recording sheet: units = { velocity = "deg/s" }',
+                    # Only degrees have a cure in the sheet; the other way positions are wrong.
+                    sheet={"units": {"velocity": "deg/s"}} if middle > 1.0 else {},
+                ),
+            )
+    # The same factor at all joints is no accident of single ones; near 1 the unit is right.
+    one = middle > 0.0 and np.all(np.abs(gain / middle - 1.0) < ALIKE)
+    if not one or np.min(correlation) < FOLLOW or abs(middle - 1.0) < 3.0 * ALIKE:
+        return None
+    several = (
+        f"the logged velocities of all {gain.size} joints that move are {middle:.4g} times the"
+        " derivative of the positions"
     )
-    return float(f"{common * statistics.rate:.3g}") if wrong else None
+    known = [
+        name for name, unit in KNOWN_VELOCITIES.items() if abs(1.0 / (middle * unit) - 1.0) < ALIKE
+    ]
+    if known or _keeps_clock(model, motion, middle):
+        unit = known[0] if known else f"{1.0 / middle:.4g} rad/s"
+        more = "" if known else ", and the torques agree with the clock"
+        if unit == "22.9 rad/s":
+            more = ", as of motors that count 0.229 rpm, read as if they counted 0.01 rpm"
+        return Finding(
+            "velocity_units",
+            "error",
+            f"{several}: their unit is {unit}{more}",
+            Cure(
+                f'write the unit in a recording sheet: units = {{ velocity = "{unit}" }}',
+                sheet={"units": {"velocity": unit}},
+            ),
+        )
+    # A thousandth is of positions in mrad or mm, and no clock's; one joint alone is no clock's.
+    if gain.size == 1 or abs(1e3 * middle - 1.0) < ALIKE:
+        return None
+    rate = float(f"{middle * statistics.rate:.3g}")
+    return Finding(
+        "rate_wrong",
+        "error",
+        f"{several}: the rate is {rate:.4g} Hz, not {statistics.rate:.4g} Hz",
+        Cure(
+            "give that rate, or correct the time stamps; leave the velocity columns out if the"
+            " velocities are wrong instead",
+            settings={"rate": rate},
+        ),
+    )
+
+
+def _keeps_clock(model: RobotModel, motion: SmoothedMotion, factor: float) -> bool:
+    """Return whether torques agree with the clock, rather than with one that is `factor` as fast.
+
+    The torque of a joint is fitted as `a g_k(q) + b (M(q) qdd + c(q, qd))_k + v qd_k + s sign(qd_k)
+    + o`: a gain of the torque is in all of them, and a clock that is wrong by a factor changes b
+    alone, by the square of it.
+    """
+    rows = motion.thinned(MOST_ROWS)
+    q, qd, qdd, tau = (x[rows] for x in (motion.q, motion.qd, motion.qdd, motion.tau))
+    if not np.all(np.isfinite(q)) or np.max(np.abs(q)) > LARGEST_RADIANS:
+        return False
+    load = gravity_torque(model, q)
+    inertia = inverse_dynamics(model, q, qd, qdd) - load
+    votes = []
+    for k in range(model.n_joints):
+        columns = [load[:, k], inertia[:, k], qd[:, k], np.sign(qd[:, k])]
+        of_load, of_inertia, *_ = fit_joint(tau[:, k], columns)[0]
+        # A joint without load or without inertia has no factor of it, and cannot compare the two.
+        if of_load * of_inertia > 0.0:
+            votes.append(math.log(of_inertia / of_load))
+    if not votes:
+        return False
+    ratio = float(np.median(votes))
+    return abs(ratio) < abs(ratio - 2.0 * math.log(factor))
 
 
 def _find_lag(
@@ -212,18 +288,3 @@ def _check_ends(
             joint=statistics.first.joint_names[k],
             time=statistics.clock.first if name == "first" else statistics.clock.last - end,
         )
-
-
-def _list_swapped(correlation: Array, moving: Indices) -> list[tuple[int, int]]:
-    """Return joints whose velocity is that of another: correlations (m, m) of moving ones (m,)."""
-    # The own correlation must be poor: joints that move in step correlate with all.
-    if np.all(np.diag(correlation) >= OWN):
-        return []
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
-
-    # One assignment of all columns: pairs alone would miss a cycle.
-    return [
-        (int(moving[a]), int(moving[b]))
-        for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
-        if a != b and correlation[a, b] > SWAPPED and correlation[a, a] < OWN
-    ]

@@ -23,7 +23,7 @@ from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.experiment.command.torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.experiment.virtual.sensors import PerJoint, spread_per_joint
+from asbuilt.experiment.virtual.sensors import JointFields, PerJoint
 from asbuilt.findings import Cure
 from asbuilt.ranges import check_choice
 
@@ -31,7 +31,7 @@ FeedForward = Literal["none", "gravity", "full", "exact"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveTrain:
+class DriveTrain(JointFields):
     """Describe the drives as the physics engine simulates them.
 
     Every field but `warming` and `warming_time` is one number or one per joint, in units of the
@@ -60,6 +60,8 @@ class DriveTrain:
         If a value is outside its range.
     """
 
+    signed: ClassVar[tuple[str, ...]] = ("offset",)
+
     armature: PerJoint = 0.0
     viscous: PerJoint = 0.0
     coulomb: PerJoint = 0.0
@@ -82,10 +84,6 @@ class DriveTrain:
         for name, value in positive.items():
             if np.any(np.asarray(value) <= 0.0):
                 raise UsageError(f"{name} must be positive, got {value}", value=value, lower=0.0)
-
-    def of(self, name: str, n: int) -> Array:
-        """Return a field for n joints, shape (n,)."""
-        return spread_per_joint(getattr(self, name), n, name, signed=name == "offset")
 
     def friction_law(self, n: int) -> Callable[[Array], Array]:
         """Return `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)` of n joints."""
@@ -212,7 +210,7 @@ class PositionController:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JointServo:
+class JointServo(JointFields):
     """Describe a servo, `tau = clip(kp (command(t - delay) - q) - kd qd, -limit, limit)`.
 
     The command is held between two samples of the log, the torque between two ticks of `rate`. The
@@ -273,9 +271,7 @@ class JointServo:
 
     def gains(self, described: RobotModel, armature: Array, q: Array) -> tuple[Array, Array]:
         """Return stiffness (N, n, n) at positions (N, n), and damping over stiffness (n,) [s]."""
-        kp, kd = (
-            spread_per_joint(x, q.shape[1], name) for x, name in ((self.kp, "kp"), (self.kd, "kd"))
-        )
+        kp, kd = (self.of(name, q.shape[1]) for name in ("kp", "kd"))
         return np.broadcast_to(np.diag(kp), (len(q), *np.diag(kp).shape)), kd / kp
 
     def feedforward_torque(
@@ -286,7 +282,7 @@ class JointServo:
 
     def law(self, model: RobotModel) -> PositionServo:
         """Return the servo as a log states it: gains and limits, and a delay that is unknown."""
-        kp, kd = (spread_per_joint(x, model.n_joints, "kp") for x in (self.kp, self.kd))
+        kp, kd = (self.of(name, model.n_joints) for name in ("kp", "kd"))
         limits = tuple(joint.limits.torque for joint in model.joints)
         return PositionServo(kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), torque_limit=limits)
 

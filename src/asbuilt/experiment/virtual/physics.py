@@ -196,27 +196,6 @@ class Physics:
             np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
         )
 
-    def inverse_dynamics(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
-        """Return MuJoCo's torque for states (N, n).
-
-        Rigid bodies, armature and viscous friction, without dry friction; shape (N, n).
-        """
-        states = [np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd)]
-        torque = np.empty(states[0].shape)
-        flags = self.compiled.opt.disableflags
-        self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        data = self.data
-        every = self.every
-        moved = self.model.link_motion(*states)
-        for k in range(len(torque)):
-            data.qpos[every] = moved.q[k]
-            data.qvel[every] = moved.qd[k]
-            data.qacc[every] = moved.qdd[k]
-            self._mujoco.mj_inverse(self.compiled, data)
-            torque[k] = data.qfrc_inverse[every] @ moved.by_sample[k % len(moved.by_sample)]
-        self.compiled.opt.disableflags = flags
-        return torque
-
     def accelerations(
         self, q: Array, qd: Array, tau: Array, *, coulomb: Array, viscous: Array
     ) -> tuple[Array, Array]:

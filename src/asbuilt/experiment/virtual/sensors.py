@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,47 @@ from asbuilt.excitation.motions.motion import Trajectory
 
 PerJoint = float | tuple[float, ...]
 """One number for all joints, or one per joint."""
-SIGNED = ("torque_bias", "torque_gain", "ripple_phase", "torque_delay")
-"""Fields that may be negative."""
+
+
+class JointFields:
+    """Give fields that are one number or one per joint; those of `signed` may be negative."""
+
+    __slots__ = ()
+    signed: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def list_per_joint(cls) -> list[str]:
+        """Return the fields that may have one number per joint."""
+        return [name for name, kind in cls.__annotations__.items() if "PerJoint" in str(kind)]
+
+    def of(self, name: str, n: int) -> Array:
+        """Return a field for n joints, shape (n,).
+
+        Raises `UsageError` for another number of joints, and for a negative one unless it is
+        `signed`.
+        """
+        value = getattr(self, name)
+        array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        signed = name in self.signed
+        fits = array.shape in ((1,), (n,)) and np.all(np.isfinite(array))
+        if not fits or (not signed and np.any(array < 0)):
+            raise UsageError(
+                f"{name} must be one {'' if signed else 'non-negative '}number or one per joint"
+                f" ({n}), got {value}",
+                value=value,
+                parameter=name,
+            )
+        return np.broadcast_to(array, (n,))
+
+    def check(self, model: RobotModel) -> None:
+        """Raise `UsageError` unless every field fits a robot and no magnitude is negative."""
+        for name in self.list_per_joint():
+            if getattr(self, name) is not None:
+                self.of(name, model.n_joints)
 
 
 @dataclass(frozen=True, slots=True)
-class SensorNoise:
+class SensorNoise(JointFields):
     """Describe the errors of the sensors.
 
     Every field is one number or one per joint; the defaults are a perfect sensor. A position is
@@ -43,6 +79,13 @@ class SensorNoise:
         Time [s] by which the torque is late; before that much has passed the first one holds.
     """
 
+    signed: ClassVar[tuple[str, ...]] = (
+        "torque_bias",
+        "torque_gain",
+        "ripple_phase",
+        "torque_delay",
+    )
+
     position_noise: PerJoint = 0.0
     encoder_counts: PerJoint = 0.0
     torque_noise: PerJoint = 0.0
@@ -54,10 +97,6 @@ class SensorNoise:
     ripple_cycles: PerJoint = 200.0
     ripple_phase: PerJoint = 0.0
     torque_delay: PerJoint = 0.0
-
-    def of(self, name: str, n: int) -> Array:
-        """Return a field for n joints, shape (n,)."""
-        return spread_per_joint(getattr(self, name), n, name, signed=name in SIGNED)
 
     def delayed(self, t: Array, tau: Array) -> Array:
         """Return torques (N, n) at times t (N,) [s] as late as `torque_delay` says."""
@@ -71,12 +110,6 @@ class SensorNoise:
             ],
             axis=1,
         )
-
-    def check(self, n: int) -> None:
-        """Raise `UsageError` unless every field fits n joints and no magnitude is negative."""
-        for entry in fields(self):
-            if getattr(self, entry.name) is not None:
-                self.of(entry.name, n)
 
     def measured(
         self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator
@@ -111,29 +144,6 @@ class SensorNoise:
 
 PERFECT_SENSORS = SensorNoise()
 """Sensors that add nothing."""
-
-
-def spread_per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
-    """Return one number or one per joint as (n,).
-
-    Raises
-    ------
-    UsageError
-        For any other shape, and for negative numbers unless `signed`.
-    """
-    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if (
-        array.shape not in ((1,), (n,))
-        or not np.all(np.isfinite(array))
-        or (not signed and np.any(array < 0))
-    ):
-        raise UsageError(
-            f"{name} must be one {'' if signed else 'non-negative '}number or one per joint ({n}),"
-            f" got {value}",
-            value=value,
-            parameter=name,
-        )
-    return np.broadcast_to(array, (n,))
 
 
 def _round_to_step(values: Array, step: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 
 from asbuilt.errors import UsageError
 from asbuilt.experiment.virtual.drive_train import CONTROLLERS, DriveTrain
-from asbuilt.experiment.virtual.sensors import DataLogger, SensorNoise
+from asbuilt.experiment.virtual.sensors import DataLogger, JointFields, SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Cure
 
@@ -87,17 +87,13 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
                 cure=Cure(CONTROLLERS[part].preset_text),
                 value=setting,
             )
-        of_joints = part in PARTS and field in _list_joint_fields(PARTS[part])
+        kind = PARTS.get(part, object)
+        per_joint = kind.list_per_joint() if issubclass(kind, JointFields) else []
         place = "controller" if part in CONTROLLERS else part
-        changes[place][field] = _parse_value(name, text, of_joints=of_joints)
+        changes[place][field] = _parse_value(name, text, of_joints=field in per_joint)
     own = changes.pop("", {})
     parts = {place: replace(getattr(robot, place), **change) for place, change in changes.items()}
     return replace(robot, **own, **parts) if settings else robot
-
-
-def _list_joint_fields(part: type) -> set[str]:
-    """Return the fields that may have one number per joint."""
-    return {entry.name for entry in fields(part) if "PerJoint" in str(entry.type)}
 
 
 def _parse_value(

@@ -190,6 +190,8 @@ def run_free(
     >>> run_free(bundled_robot("two-link"), "free", duration=0.5).imbalance < 1e-6
     True
     """
+    from scipy.integrate import cumulative_trapezoid  # noqa: PLC0415 - light start
+
     further = sorted({key for joint in model.joints for key in joint.drive.terms})
     if release not in get_args(Release):
         raise UsageError(
@@ -263,7 +265,9 @@ def run_free(
         kinetic=kinetic_energy(model, q, qd) + 0.5 * qd**2 @ armature,
         potential=potential - potential[0],
         work=np.concatenate([[0.0], np.cumsum(np.sum(tau[:-1] * np.diff(q, axis=0), axis=1))]),
-        dissipated=_integrate(np.sum((friction + offset) * qd, axis=1), t),
+        dissipated=np.asarray(
+            cumulative_trapezoid(np.sum((friction + offset) * qd, axis=1), t, initial=0)
+        ),
     )
 
 
@@ -299,8 +303,3 @@ def _check_state(values: ArrayLike, n: int, what: str) -> Array:
             f"{what} must be {n} finite numbers, one per joint, got {np.asarray(values).tolist()}"
         )
     return state
-
-
-def _integrate(power: Array, t: Array) -> Array:
-    """Return the running integral by the trapezoidal rule, shape (N,)."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])

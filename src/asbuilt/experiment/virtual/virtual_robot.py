@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -41,7 +41,6 @@ from asbuilt.experiment.virtual.sensors import (
     PERFECT_SENSORS,
     DataLogger,
     SensorNoise,
-    spread_per_joint,
 )
 from asbuilt.findings import Cure
 from asbuilt.ranges import check_choice
@@ -169,13 +168,8 @@ class VirtualRobot:
                 "a robot that follows exactly has drive terms and no controller, one in MuJoCo a"
                 " drive train and a controller"
             )
-        if isinstance(self.train, TermDrives):
-            self.train.check(self.model)
-        else:
-            for entry in fields(DriveTrain):
-                if entry.name not in ("warming", "warming_time"):
-                    self.train.of(entry.name, self.model.n_joints)
-        self.sensors.check(self.model.n_joints)
+        self.train.check(self.model)
+        self.sensors.check(self.model)
 
     @classmethod
     def ideal(cls, model: RobotModel) -> VirtualRobot:
@@ -323,9 +317,7 @@ class VirtualRobot:
             for key in self.drive.keys
         }
         if "offset" in values:
-            values["offset"] = values["offset"] + spread_per_joint(
-                self.sensors.torque_bias, n, "torque_bias", signed=True
-            )
+            values["offset"] = values["offset"] + self.sensors.of("torque_bias", n)
         drives = np.stack(list(values.values()), axis=1).ravel() if values else np.empty(0)
         return read_only(np.concatenate([self.model.parameters, drives]))
 

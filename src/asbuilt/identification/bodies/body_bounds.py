@@ -33,7 +33,7 @@ class BodyBounds:
 
     def slack(self, chi: ArrayLike) -> Array:
         """Return the slack of every bound; negative if it is violated."""
-        return np.asarray(self.rows @ np.asarray(chi, dtype=np.float64) + self.offsets)
+        return self.rows @ np.asarray(chi, dtype=np.float64) + self.offsets
 
     def wider(self, part: float, chi: ArrayLike) -> BodyBounds:
         """Return the bounds wider by a part of the size of their terms at chi: rounding."""

@@ -48,7 +48,7 @@ def svec(matrix: Array) -> Array:
 
     Upper triangle by columns, off-diagonal entries times sqrt(2).
     """
-    return np.asarray(matrix[..., SVEC_ROW, SVEC_COLUMN] * SVEC_LENGTH)
+    return matrix[..., SVEC_ROW, SVEC_COLUMN] * SVEC_LENGTH
 
 
 def smat(vector: Array) -> Array:
@@ -130,7 +130,7 @@ class CadPrior:
         Park, IEEE RA-L 3, 2018).
         """
         root = body_metric_root(self.parameters[: 10 * self.n_links], self.strength)
-        return np.asarray(root.transpose(0, 2, 1) @ root)
+        return root.transpose(0, 2, 1) @ root
 
     def divergence(self, parameters: Array) -> Array:
         """Return `tr(P0^-1 P) - log det(P0^-1 P) - 4` of every link, shape (n,).
@@ -174,7 +174,7 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
         :, None
     ]
     whitened = inverse @ PSEUDO_INERTIA_BASIS @ inverse.transpose(0, 1, 3, 2)
-    return np.asarray(np.sqrt(strength)[:, None, None] * svec(whitened).transpose(0, 2, 1))
+    return np.sqrt(strength)[:, None, None] * svec(whitened).transpose(0, 2, 1)
 
 
 def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:

@@ -308,7 +308,7 @@ class ConicProblem:
             (places,) = np.nonzero(row)
             if len(places) == 1 and row @ q[inertial:] > margin:
                 q[inertial + places] = margin / row[places]
-        return np.asarray(self.bodies @ q)
+        return self.bodies @ q
 
     def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
         """Return the minimiser within the linear bounds if it is consistent without cones, or None.

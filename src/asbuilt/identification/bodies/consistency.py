@@ -356,4 +356,4 @@ class _Separation:
             return None
         u = solution.x[:p]
         u[np.abs(u) <= SHORTEST_ROUNDING * np.abs(u).max()] = 0.0
-        return np.asarray(u / self.size)
+        return u / self.size

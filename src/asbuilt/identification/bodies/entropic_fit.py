@@ -403,7 +403,7 @@ def _transpose(matrices: Array) -> Array:
 
 
 def _multiply_vectors(matrices: Array, vectors: Array) -> Array:
-    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
+    return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def _find_step_length(change: Array, V: Array, approach: Array) -> Array:

@@ -217,7 +217,7 @@ class FeasibleRegion:
         length = np.linalg.norm(self.root, axis=0)
         scale = np.where(length > 0.0, length, 1.0)
         every, _ = qr((self.root / scale).T)
-        return np.asarray(every[:, len(self.root) :] / scale[:, None])
+        return every[:, len(self.root) :] / scale[:, None]
 
     @cached_property
     def _seen_axes(self) -> tuple[Array, Array, Array]:

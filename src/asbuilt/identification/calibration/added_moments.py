@@ -87,7 +87,7 @@ def identify_added_moments(
     name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
     start = np.concatenate([result.estimates, np.zeros(10)])
-    rows = PayloadRows.of(result, loaded, unloaded, link, shift_matrix(placement), start, None)
+    rows = PayloadRows.of(result, loaded, unloaded, link, shift_matrix(placement), start)
     groups = _group_blocks(rows)
     if len(groups) < FEWEST_BLOCKS:
         raise IdentifiabilityError(
@@ -161,4 +161,4 @@ def _propagate_arm_covariance(
     """Return the covariance that the bare arm's covariance causes, along the present motion."""
     p = result.n_base
     slope = columns.pseudo_inverse @ sum(block[:, chosen].T @ block[:, :p] for block in rows.blocks)
-    return np.asarray(slope @ result.covariance @ slope.T)
+    return slope @ result.covariance @ slope.T

@@ -40,20 +40,26 @@ Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
 
 
-def predicts_better(
+HELPFUL = 2.0
+"""Standard errors by which the error on other motions must fall. Own choice, from recordings of
+four real robots, whole and two thirds of each: in ten sets delays of 18 to 62 ms exceeded 2 of
+their own standard errors. Eight sets fail here; applied, those delays change the error on other
+recordings by -18 to +51 %, by +16 % on average. The other two, of the fast log of the Med 7, lower
+it by 1 and 2 %."""
+
+
+def measure_delay_relief(
     model: RobotModel,
     base: BaseParameters,
     weights: Array,
     before: Sequence[Samples],
     after: Sequence[Samples],
-    *,
-    block_seconds: float | None = None,
-) -> bool:
-    """Return whether shifted torques are predicted better on groups of different motion.
+) -> tuple[float, float] | None:
+    """Return the log of the fall of the squared error on other motions, and its standard error.
 
-    Links near CAD (or plain least squares, where CAD has no masses) are fitted to the other groups
-    and predict each group, with torques as logged and shifted back. False if there are fewer than
-    three groups, which prove nothing.
+    Links near CAD (or plain least squares, where CAD has no masses) are fitted to all groups of
+    motion but one and predict that one, with torques as logged and shifted back. None if there are
+    fewer than three groups, which prove nothing, or no fit to one of them.
 
     Parameters
     ----------
@@ -63,35 +69,8 @@ def predicts_better(
         Weights of the joints (n,).
     before, after
         Samples with torques as logged, and shifted back.
-    block_seconds
-        Length of the time blocks [s].
     """
-    relief = measure_delay_relief(model, base, weights, before, after, block_seconds=block_seconds)
-    # Standard errors by which the error on other motions must fall. Own choice, from recordings of
-    # four real robots, whole and two thirds of each: in ten sets delays of 18 to 62 ms exceeded 2
-    # of their own standard errors. Eight sets fail here; applied, those delays change the error on
-    # other recordings by -18 to +51 %, by +16 % on average. The other two, of the fast log of the
-    # Med 7, lower it by 1 and 2 %.
-    return relief is not None and relief[0] > 2.0 * relief[1]
-
-
-def measure_delay_relief(
-    model: RobotModel,
-    base: BaseParameters,
-    weights: Array,
-    before: Sequence[Samples],
-    after: Sequence[Samples],
-    *,
-    block_seconds: float | None = None,
-) -> tuple[float, float] | None:
-    """Return the log of the fall of the squared error on other motions, and its standard error.
-
-    None if there are fewer than three groups of motion, or no fit to one of them.
-    """
-    as_logged, shifted = (
-        accumulate_stream(model, base, samples, block_seconds=block_seconds)
-        for samples in (before, after)
-    )
+    as_logged, shifted = (accumulate_stream(model, base, samples) for samples in (before, after))
     with use_one_blas_thread():
         groups = group_different_motions(shifted, weights)
         # Groups below which held-out errors have no usable standard error.
@@ -118,35 +97,26 @@ def _fit_part(model: RobotModel, weights: Array, part: SquareRootInformation) ->
     return fit_least_squares(part, weights=weights, prior=design_values(model, part.base)).beta
 
 
-@dataclass(frozen=True, slots=True)
-class DelayRules:
-    """Hold when a delay is applied, and how it is searched."""
+SIGNIFICANT = 2.0
+"""Standard errors that a delay must exceed to be applied."""
+CERTAIN = 5e-3
+"""Standard error [s] below which that is enough; else it must also predict other motions better.
 
-    significant: float = 2.0
-    """Standard errors that a delay must exceed to be applied."""
-    certain: float = 5e-3
-    """Standard error [s] below which that is enough; else it must also predict other motions
-    better.
-
-    On the logs of four real robots friction lags by 13 to 75 ms, and the delays that rest on what
-    is left have standard errors of 8 to 60 ms, against 0.1 to 3 ms of virtual robots whose torque
-    is late.
-    """
-    unequal: float = 1e-3
-    """Probability of equal recordings, or joints, below which they have delays of their own."""
-    of_one_joint: float = 3.0
-    """Largest lag of friction of one joint, in the mean of all (own choice: 2.8 on the LWR4+)."""
-    most_steps: int = 10
-    """Most steps of a search."""
-    settled: float = 2e-5
-    """Increment [s] below which a delay has converged."""
-    longest_step: float = 0.05
-    """Largest increment, in periods of the cutoff, for which the derivative holds."""
-    farthest: float = 0.3
-    """Delay [s] beyond which the search has failed."""
-
-
-RULES = DelayRules()
+On the logs of four real robots friction lags by 13 to 75 ms, and the delays that rest on what is
+left have standard errors of 8 to 60 ms, against 0.1 to 3 ms of virtual robots whose torque is late.
+"""
+UNEQUAL = 1e-3
+"""Probability of equal recordings, or joints, below which they have delays of their own."""
+OF_ONE_JOINT = 3.0
+"""Largest lag of friction of one joint, in the mean of all (own choice: 2.8 on the LWR4+)."""
+MOST_STEPS = 10
+"""Most steps of a search."""
+SETTLED = 2e-5
+"""Increment [s] below which a delay has converged."""
+LONGEST_STEP = 0.05
+"""Largest increment, in periods of the cutoff, for which the derivative holds."""
+FARTHEST = 0.3
+"""Delay [s] beyond which the search has failed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,8 +151,8 @@ class DelayEstimate:
     @property
     def applied(self) -> Mask:
         """Which delays are applied, (R,): above 2 standard errors, and certain or helpful."""
-        sure = np.abs(self.estimates) > RULES.significant * self.std_errors
-        return np.asarray(sure & (self.certain | bool(self.helps)))
+        sure = np.abs(self.estimates) > SIGNIFICANT * self.std_errors
+        return sure & (self.certain | bool(self.helps))
 
 
 def find_delays(
@@ -191,7 +161,6 @@ def find_delays(
     *,
     drive: DriveSet,
     count: int,
-    block_seconds: float | None = None,
 ) -> DelayEstimate:
     """Estimate the delay of the torque: of recordings if they differ, and of joints if these do.
 
@@ -213,10 +182,8 @@ def find_delays(
         Linear drive terms of the fit, friction among them.
     count
         Number of recordings R.
-    block_seconds
-        Length of the time blocks [s].
     """
-    fits = _Fits(model, prepare, drive, count, block_seconds)
+    fits = _Fits(model, prepare, drive, count)
     n = model.n_joints
     # All joints of a recording share one delay, and all recordings unless they differ.
     each = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
@@ -231,7 +198,7 @@ def find_delays(
     further = np.zeros((count, 2 * n, 0))
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
     moved = mean_lag.increments[:m]
-    if abs(mean_lag.increments[-1]) > RULES.significant * mean_lag.std_errors[-1]:
+    if abs(mean_lag.increments[-1]) > SIGNIFICANT * mean_lag.std_errors[-1]:
         further = lags
         delays, columns = fits.settle(together, np.concatenate([common, further], axis=2), m)
         moved = (delays - together)[:m]
@@ -244,19 +211,19 @@ def find_delays(
     alone = std_errors if m == count else evaluate_errors(each)
     std_errors = np.broadcast_to(std_errors, (count,))
     # Many recordings do not average away what imitates a delay: what one could say alone counts.
-    certain = alone < RULES.certain
+    certain = alone < CERTAIN
     if m < count:
-        certain = np.full(count, np.median(alone) < RULES.certain)
-    std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
+        certain = np.full(count, np.median(alone) < CERTAIN)
+    std_errors = np.where(np.abs(delays) < FARTHEST, std_errors, np.inf)
     lag = float(mean_lag.increments[-1])
     lag_error = float(mean_lag.std_errors[-1])
-    of_joints = _estimate_joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error)
+    of_joints = _estimate_joint_delays(fits, delays, abs(lag) + SIGNIFICANT * lag_error)
     if of_joints is None:
-        sure = np.abs(delays) > RULES.significant * std_errors
+        sure = np.abs(delays) > SIGNIFICANT * std_errors
         doubtful = np.any(sure & ~certain)
         shifts = np.where(sure, delays, 0.0)
     else:
-        doubtful = np.median(of_joints[1]) >= RULES.certain
+        doubtful = np.median(of_joints[1]) >= CERTAIN
         shifts = of_joints[0]
     helps = fits.predict_better(shifts) if doubtful else None
     joints, errors = (None, None) if of_joints is None or helps is False else of_joints
@@ -266,18 +233,10 @@ def find_delays(
 class _Fits:
     """Fit recordings with delays; the latest normal equations are kept."""
 
-    def __init__(
-        self,
-        model: RobotModel,
-        prepare: Prepare,
-        drive: DriveSet,
-        count: int,
-        block_seconds: float | None,
-    ) -> None:
+    def __init__(self, model: RobotModel, prepare: Prepare, drive: DriveSet, count: int) -> None:
         self.model = model
         self.count = count
         self._prepare = prepare
-        self._block_seconds = block_seconds
         self._base = find_base_parameters(model, drive)
         self._design = design_values(model, self._base)
         self._known: Rows | None = None
@@ -289,9 +248,8 @@ class _Fits:
         after = self._shift_samples(delays)
         before = self._shift_samples(np.zeros(self.count))
         weights = self._fit_plain(self._take_rows(after)).weights
-        return predicts_better(
-            self.model, self._base, weights, before, after, block_seconds=self._block_seconds
-        )
+        relief = measure_delay_relief(self.model, self._base, weights, before, after)
+        return relief is not None and relief[0] > HELPFUL * relief[1]
 
     def _shift_samples(self, delays: Array) -> Sequence[Samples]:
         of_recordings = delays.reshape(self.count, -1)
@@ -300,7 +258,7 @@ class _Fits:
     def _take_rows(self, samples: Sequence[Samples]) -> Rows:
         """Return the rows of samples; only their torque is new where the motion is as before."""
         if self._known is None or not self._known.take_torque(samples):
-            self._known = Rows(self.model, self._base, samples, self._block_seconds)
+            self._known = Rows(self.model, self._base, samples)
             self._columns = None
         return self._known
 
@@ -318,16 +276,10 @@ class _Fits:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
         samples = self._shift_samples(delays)
         bands = [sample.parallel.cutoff for sample in samples if sample.parallel]
-        self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
+        self.longest = LONGEST_STEP / min(bands) if bands else LONGEST_STEP
         rows = self._take_rows(samples)
-        return build_delay_columns(
-            self.model,
-            self._base,
-            self._fit_plain(rows),
-            samples,
-            block_seconds=self._block_seconds,
-            rows=rows,
-        )
+        estimate = self._fit_plain(rows)
+        return build_delay_columns(self.model, self._base, estimate, samples, rows=rows)
 
     def settle(
         self, delays: Array, shares: Array, free: int | None = None
@@ -338,13 +290,13 @@ class _Fits:
         """
         columns = self.columns(delays)
         ahead = FixedPoint()
-        for _ in range(RULES.most_steps):
+        for _ in range(MOST_STEPS):
             step = np.broadcast_to(columns.increments(shares)[:free], (self.count,))
             # Each step leaves up to 0.7 of the error: friction that lags bends what is left.
             step = ahead.advance(delays, delays + step) - delays
             step = np.clip(step, -self.longest, self.longest)
             delays = delays + step
-            if np.all(np.abs(step) < RULES.settled) or np.any(np.abs(delays) > RULES.farthest):
+            if np.all(np.abs(step) < SETTLED) or np.any(np.abs(delays) > FARTHEST):
                 break
             columns = self.columns(delays)
         return delays, columns
@@ -398,18 +350,18 @@ def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Arra
     columns = fits.columns(delays)
     each = _build_joint_shares(count, n)
     wide = np.repeat(delays[:, None], n, axis=1)
-    for _ in range(RULES.most_steps // 2):
+    for _ in range(MOST_STEPS // 2):
         step = np.clip(columns.increments(each).reshape(count, n), -fits.longest, fits.longest)
-        wide = np.clip(wide + step, -RULES.farthest, RULES.farthest)
+        wide = np.clip(wide + step, -FARTHEST, FARTHEST)
         columns = fits.columns(wide)
-        if np.all(np.abs(step) < RULES.settled):
+        if np.all(np.abs(step) < SETTLED):
             break
     solved = columns.solve(each)
     with_lags = columns.increments(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
     moved = with_lags[: count * n] - solved.increments
     errors = np.hypot(solved.std_errors, moved).reshape(count, n)
     chance, spread = _test_equal_delays(wide, errors, solved.n_blocks)
-    return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)
+    return None if chance > UNEQUAL or spread < OF_ONE_JOINT * lag else (wide, errors)
 
 
 def _are_alike(solved: DelaySolution) -> bool:
@@ -420,7 +372,7 @@ def _are_alike(solved: DelaySolution) -> bool:
     chance, _ = _test_equal_delays(
         solved.increments[None], solved.std_errors[None], solved.n_blocks
     )
-    return chance > RULES.unequal
+    return chance > UNEQUAL
 
 
 def _test_equal_delays(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
@@ -433,7 +385,7 @@ def _test_equal_delays(delays: Array, errors: Array, n_blocks: int) -> tuple[flo
     off = delays - (weight * delays).sum(axis=1, keepdims=True) / total
     chi_square = float(np.sum(weight * off**2))
     chance = float(fdtrc(freedom, max(n_blocks - 1, 1), chi_square / freedom))
-    return chance, float(np.max(np.abs(off) - RULES.significant * errors))
+    return chance, float(np.max(np.abs(off) - SIGNIFICANT * errors))
 
 
 def _build_joint_shares(count: int, n: int) -> Array:

@@ -301,7 +301,7 @@ def _choose_friction_form(identified: EncoderPair, plain: EncoderPair) -> Encode
 def _sum_plain_friction(rows: Array) -> Array:
     """Return the part of friction that is viscous, dry and constant, (M,)."""
     plain = rows[:, [4, 5, 7]]
-    return np.asarray(plain @ np.linalg.lstsq(plain, rows[:, 1], rcond=None)[0])
+    return plain @ np.linalg.lstsq(plain, rows[:, 1], rcond=None)[0]
 
 
 def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:

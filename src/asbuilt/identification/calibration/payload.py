@@ -207,7 +207,6 @@ def identify_payload_samples(
     arm: Arm = "refined",
     validation: Sequence[Samples] = (),
     gain_uncertainty: ArrayLike | None = None,
-    block_seconds: float | None = None,
 ) -> Payload:
     """Identify the payload at the flange from samples under load.
 
@@ -235,8 +234,6 @@ def identify_payload_samples(
     gain_uncertainty
         Standard deviation of the gains as a fraction, one or one per joint; the default depends on
         the torque source, zero for sensors.
-    block_seconds
-        Length of a time block [s].
 
     Raises
     ------
@@ -254,18 +251,15 @@ def identify_payload_samples(
     uncertainty = derive_gain_errors(result, source, gain_uncertainty)
     name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
-    prior = _build_prior(result)
-    vague = _build_vague_prior(result.model)
+    problem = _Problem.of(result, arm)
     x = np.concatenate([result.estimates, np.zeros(10)])
     for _ in range(PAYLOAD_LOAD_ITERATIONS if result.base.drive.needs_load else 1):
-        rows = PayloadRows.of(
-            result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds
-        )
+        rows = PayloadRows.of(result, batches, unloaded, link, shift_matrix(placement), x)
         with use_one_blas_thread():
-            x, carried = _solve_payload(rows.blocks, prior, vague, result.estimates, arm)
+            x, carried = problem.solve(rows.blocks)
     with use_one_blas_thread():
-        noise = _jackknife(rows.blocks, prior, vague, result.estimates, arm) + carried
-        slopes = _derive_gain_slopes(result, rows, prior, vague, arm)
+        noise = problem.jackknife(rows.blocks) + carried
+        slopes = problem.derive_gain_slopes(result, rows)
     gains = slopes @ gain_covariance(uncertainty) @ slopes.T
     beta = x[:p]
     estimate = x[p:]
@@ -322,93 +316,122 @@ def _place_other_frames(
     }
 
 
-def _derive_gain_slopes(
-    result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm
-) -> Array:
-    """Return the change of pi (10, n) per relative change of each joint's torque everywhere.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Find what rows `[W | P | tau]` leave unknown: arm and payload, or a frozen arm's payload.
 
-    pi is linear in all torques; joint k's enters the result's beta, and the rows of joint k.
+    Parameters
+    ----------
+    estimates
+        The arm by the result (p,).
+    prior, vague
+        Rows (m, p + 11) of the result as prior of the arm, and (10, p + 11) of the payload.
+    frozen
+        Whether the arm is the result's.
     """
-    p = result.n_base
-    of_arm = split_by_joint(result, rows.joints, result.weights)
-    sides = np.column_stack([joint[:, :-1].T @ joint[:, -1] for joint in rows.joints])
-    matrix = sum(
-        (block[:, :-1].T @ block[:, :-1] for block in rows.blocks), start=np.zeros((p + 10, p + 10))
-    )
-    matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]
-    if arm == "frozen":
-        return Scaled(matrix[p:, p:]).solve(sides[p:] - matrix[p:, :p] @ of_arm)
-    held = prior[:, :-1].T @ prior[:, :-1]
-    return Scaled(matrix + held).solve(sides + held[:, :p] @ of_arm)[p:]
 
+    estimates: Array
+    prior: Array
+    vague: Array
+    frozen: bool
 
-def _build_prior(result: IdentificationResult) -> Array:
-    """Return rows (m, p + 11) of the result as prior of beta, in units of its standard errors.
+    @classmethod
+    def of(cls, result: IdentificationResult, arm: Arm) -> _Problem:
+        """Return the problem of a result's arm.
 
-    Dropped parameters, whose columns are zero elsewhere, are held at zero.
-    """
-    determined = scale_covariance(result).inverse_root.T
-    root = np.vstack([determined, np.eye(result.n_base)[result.dropped]])
-    return np.concatenate(
-        [root, np.zeros((len(root), 10)), (root @ result.estimates)[:, None]], axis=1
-    )
+        The result is a prior of the arm in units of its standard errors; dropped parameters, whose
+        columns are zero elsewhere, are held at zero. The payload is zero +- the arm's mass at half
+        a metre: it matters only in undetermined directions, whose errors become as large.
+        """
+        p = result.n_base
+        determined = scale_covariance(result).inverse_root.T
+        root = np.vstack([determined, np.eye(p)[result.dropped]])
+        prior = np.column_stack([root, np.zeros((len(root), 10)), root @ result.estimates])
+        mass = float(np.abs(result.model.parameters[9::10]).sum()) or 1.0
+        size = mass * np.repeat([PAYLOAD_VAGUE_ARM**2, PAYLOAD_VAGUE_ARM, 1.0], [6, 3, 1])
+        vague = np.column_stack([np.zeros((10, p)), np.diag(1.0 / size), np.zeros(10)])
+        return cls(result.estimates, prior, vague, arm == "frozen")
 
+    @property
+    def held(self) -> Array:
+        """Rows of what is unknown that hold it beforehand."""
+        return self.reduce(self.vague if self.frozen else np.vstack([self.prior, self.vague]))
 
-def _build_vague_prior(model: RobotModel) -> Array:
-    """Return rows (10, 11) of a vague prior: zero +- the arm's mass at half a metre.
+    def reduce(self, rows: Array) -> Array:
+        """Return rows of what is unknown; the torque of a frozen arm is subtracted."""
+        if not self.frozen:
+            return rows
+        p = len(self.estimates)
+        return np.column_stack([rows[:, p:-1], rows[:, -1] - rows[:, :p] @ self.estimates])
 
-    It matters only in undetermined directions, whose errors become as large.
-    """
-    mass = float(np.abs(model.parameters[9::10]).sum()) or 1.0
-    size = np.concatenate(
-        [np.full(6, mass * PAYLOAD_VAGUE_ARM**2), np.full(3, mass * PAYLOAD_VAGUE_ARM), [mass]]
-    )
-    return np.column_stack([np.diag(1.0 / size), np.zeros(10)])
+    def solve(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
+        """Return [beta, pi], and the covariance (10, 10) of pi by the priors.
 
-
-def _widen_vague(vague: Array, p: int) -> Array:
-    """Return rows (10, p + 11) of the vague prior, with columns of the arm."""
-    return np.concatenate([np.zeros((10, p)), vague], axis=1)
-
-
-def _subtract_arm(factor: Array, beta: Array) -> Array:
-    """Return a factor's rows (m, 11) of the payload alone, the torque of the arm subtracted."""
-    p = len(beta)
-    return np.column_stack([factor[:, p:-1], factor[:, -1] - factor[:, :p] @ beta])
-
-
-def _solve_payload(
-    blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
-) -> tuple[Array, Array]:
-    """Return [beta, pi], and the covariance (10, 10) of pi by the priors.
-
-    Undetermined directions of the arm stay at the result's `estimates` (p,).
-    """
-    p = len(estimates)
-    data = triangular_factor(np.vstack(blocks))
-    if arm == "frozen":
-        root = np.linalg.pinv(prior[:, :p])
-        own = _subtract_arm(data, estimates)
-        _check_known_arm(data[:, :p], prior[:, :p])
-        _check_rank(solve_factor(triangular_factor(own), len(own)).rank)
-        solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
+        Undetermined directions of the arm stay at the result's estimates.
+        """
+        p = len(self.estimates)
+        data = triangular_factor(np.vstack(blocks))
+        rows = self.reduce(data)
+        self._check_determined(data)
+        start = np.zeros(10) if self.frozen else np.append(self.estimates, np.zeros(10))
+        solution = solve_factor(triangular_factor(np.vstack([self.held, rows])), len(data), start)
         spread = solution.inverse_root @ solution.inverse_root.T
-        carried = np.column_stack(
-            [spread @ own[:, :-1].T @ data[:, :p] @ root, spread @ vague[:, :-1].T]
-        )
-        return np.concatenate([estimates, solution.x]), carried @ carried.T
-    both = np.vstack([prior, data])
-    ranks = [
-        solve_factor(triangular_factor(rows), len(data)).rank
-        for rows in (both, np.delete(both, slice(p, p + 10), axis=1))
-    ]
-    _check_rank(ranks[0] - ranks[1])
-    held = np.vstack([prior, _widen_vague(vague, p)])
-    factor = triangular_factor(np.vstack([held, data]))
-    start = np.append(estimates, np.zeros(10))
-    solution = solve_factor(factor, len(data), start)
-    carried = (solution.inverse_root @ solution.inverse_root.T @ held[:, :-1].T)[p:]
-    return solution.x, carried @ carried.T
+        carried = (spread @ self.held[:, :-1].T)[-10:]
+        if self.frozen:
+            of_arm = data[:, :p] @ np.linalg.pinv(self.prior[:, :p])
+            carried = np.column_stack([spread @ rows[:, :-1].T @ of_arm, carried])
+        arm = self.estimates if self.frozen else solution.x[:p]
+        return np.concatenate([arm, solution.x[-10:]]), carried @ carried.T
+
+    def _check_determined(self, data: Array) -> None:
+        """Raise `IdentifiabilityError` if rows determine less than a mass and its centre."""
+        p = len(self.estimates)
+
+        def find_rank(rows: Array) -> int:
+            return solve_factor(triangular_factor(rows), len(data)).rank
+
+        if self.frozen:
+            _check_known_arm(data[:, :p], self.prior[:, :p])
+            rank = find_rank(self.reduce(data))
+        else:
+            both = np.vstack([self.prior, data])
+            rank = find_rank(both) - find_rank(np.delete(both, slice(p, p + 10), axis=1))
+        if rank < 4:
+            raise IdentifiabilityError(
+                f"the recording under load determines {max(rank, 0)} of the payload's ten"
+                " parameters, fewer than its mass and centre",
+                cure=Cure(
+                    "move the arm through different poses, so that the payload's weight acts on"
+                    " several joints"
+                ),
+            )
+
+    def jackknife(self, blocks: Sequence[Array]) -> Array:
+        """Return the covariance (10, 10) of pi from leaving out one time block at a time."""
+        n = len(blocks)
+        if n < FEWEST_BLOCKS:
+            raise IdentifiabilityError(
+                f"{n} time blocks are too few for the errors of a payload, {FEWEST_BLOCKS} are"
+                " needed",
+                cure=Cure("record longer"),
+            )
+        without = solve_without_blocks([self.reduce(block) for block in blocks], self.held)
+        return jackknife_covariance(without)[-10:, -10:]
+
+    def derive_gain_slopes(self, result: IdentificationResult, rows: PayloadRows) -> Array:
+        """Return the change of pi (10, n) per relative change of each joint's torque everywhere.
+
+        pi is linear in all torques; joint k's enters the result's beta, and the rows of joint k.
+        """
+        p = result.n_base
+        of_arm = split_by_joint(result, rows.joints, result.weights)
+        sides = np.column_stack([joint[:, :-1].T @ joint[:, -1] for joint in rows.joints])
+        grams = [block[:, :-1].T @ block[:, :-1] for block in (*rows.blocks, self.vague)]
+        matrix = np.sum(grams, axis=0)
+        if self.frozen:
+            return Scaled(matrix[p:, p:]).solve(sides[p:] - matrix[p:, :p] @ of_arm)
+        held = self.prior[:, :-1].T @ self.prior[:, :-1]
+        return Scaled(matrix + held).solve(sides + held[:, :p] @ of_arm)[p:]
 
 
 def _refuse_mass(robot: str, frame: str, estimate: Array, errors: Array) -> IdentifiabilityError:
@@ -445,18 +468,6 @@ def _refuse_mass(robot: str, frame: str, estimate: Array, errors: Array) -> Iden
     )
 
 
-def _check_rank(rank: int) -> None:
-    if rank < 4:
-        raise IdentifiabilityError(
-            f"the recording under load determines {max(rank, 0)} of the payload's ten parameters,"
-            " fewer than its mass and centre",
-            cure=Cure(
-                "move the arm through different poses, so that the payload's weight acts on several"
-                " joints"
-            ),
-        )
-
-
 def _check_known_arm(rows: Array, prior: Array) -> None:
     """Raise `IdentifiabilityError` if rows (m, p) excite what the prior (k, p) leaves free."""
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
@@ -474,25 +485,6 @@ def _check_known_arm(rows: Array, prior: Array) -> None:
                 settings={"arm": "refined"},
             ),
         )
-
-
-def _jackknife(
-    blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
-) -> Array:
-    """Return the covariance (10, 10) of pi from leaving out one time block at a time."""
-    n = len(blocks)
-    p = len(estimates)
-    if n < FEWEST_BLOCKS:
-        raise IdentifiabilityError(
-            f"{n} time blocks are too few for the errors of a payload, {FEWEST_BLOCKS} are needed",
-            cure=Cure("record longer"),
-        )
-    rows = blocks
-    held = np.vstack([prior, _widen_vague(vague, p)])
-    if arm == "frozen":
-        rows = [_subtract_arm(block, estimates) for block in blocks]
-        held = vague
-    return jackknife_covariance(solve_without_blocks(rows, held))[-10:, -10:]
 
 
 def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:

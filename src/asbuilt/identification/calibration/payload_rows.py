@@ -47,7 +47,6 @@ class PayloadRows:
         link: int,
         shift: Array,
         x: Array,
-        block_seconds: float | None,
     ) -> PayloadRows:
         """Reduce samples; `x` is the current arm and payload, for load-dependent friction.
 
@@ -77,14 +76,11 @@ class PayloadRows:
             )
 
         under = accumulate_stream(
-            arm.with_parameters(chi),
-            replace(result.base, columns=columns),
-            loaded,
-            block_seconds=block_seconds,
+            arm.with_parameters(chi), replace(result.base, columns=columns), loaded
         )
         blocks, joints = rows_of(under, carried_map)
         if unloaded:
-            bare = accumulate_stream(arm, result.base, unloaded, block_seconds=block_seconds)
+            bare = accumulate_stream(arm, result.base, unloaded)
             further, of_bare = rows_of(bare, bare_map)
             blocks += further
             joints = [np.vstack(both) for both in zip(joints, of_bare, strict=True)]
@@ -228,7 +224,7 @@ def derive_gain_errors(
         return usual
     if source != "current" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
         usual = np.maximum(usual, UNCALIBRATED)
-    return np.asarray(np.hypot(usual, doubted))
+    return np.hypot(usual, doubted)
 
 
 def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
@@ -237,10 +233,10 @@ def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> t
     All of them where the description has no masses, so that nothing shows the scale of torques
     that no sensor measured.
     """
-    if source != "sensor" and not result.model.has_every_mass:
-        return result.model.joint_names
     if source == "sensor":
         return ()
+    if not result.model.has_every_mass:
+        return result.model.joint_names
     doubted = derive_gain_doubt(gravity_scales(result))
     return tuple(result.model.joint_names[k] for k in np.flatnonzero(doubted > 0.0))
 
@@ -248,7 +244,7 @@ def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> t
 def gain_covariance(uncertainty: Array) -> Array:
     """Return the covariance (n, n) of gains, a third of the variance common to all joints."""
     n = len(uncertainty)
-    return np.asarray(np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON))
+    return np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON)
 
 
 def parse_gain_uncertainty(text: str | None) -> list[float] | None:

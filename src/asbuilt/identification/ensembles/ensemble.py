@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics import BaseParameters, parameter_names, parameter_units
+from asbuilt.dynamics import BaseParameters, PositionServo, parameter_names, parameter_units
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, InertiaError, UsageError
 from asbuilt.executor import Workers, run_in_order
-from asbuilt.findings import Cure
+from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.entropic_path import TO_THE_DATA, EntropicPath
-from asbuilt.identification.ensembles.drawn_gains import DrawnGains, draw_gains
 from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     scale_covariance,
 )
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.servo.servo_rows import ServoErrors
 from asbuilt.identification.uncertainty.block_scatter import FEWEST_DEGREES, mean_degrees, widening
 
 FAITHFUL = 0.1
@@ -113,6 +113,101 @@ def _fit_draws(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DrawnGains:
+    """Hold N draws of a position servo, in columns beside those of the robot; none for torques.
+
+    Attributes
+    ----------
+    names, units, joints
+        Names of the columns, `kp1 ... kd1 ... delay`, their units, and the joint of each, "all" of
+        the delay.
+    table
+        The columns of every draw, shape (N, columns).
+    middle
+        The same as identified, shape (columns,).
+    servo
+        The servo as identified; None where torques were measured.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    joints: tuple[str, ...]
+    table: Array
+    middle: Array
+    servo: PositionServo | None
+
+    def law(self, draw: int) -> PositionServo | None:
+        """Return the servo of a draw, counted from 0; None where torques were measured."""
+        if self.servo is None:
+            return None
+        *gains, delay = self.table[draw].tolist()
+        n = len(self.servo.kp)
+        return replace(self.servo, kp=tuple(gains[:n]), kd=tuple(gains[n:]), delay=delay)
+
+
+def draw_gains(
+    result: IdentificationResult, n: int, random: np.random.Generator
+) -> tuple[DrawnGains, Array | None, list[str]]:
+    """Draw the servo of a result: stiffness and delay with their errors, damping as identified.
+
+    Returns the draws, factors (N, 1 or n) by which the torques of joints follow the stiffness,
+    None where torques were measured, and what the draws leave out.
+    """
+    servo = result.servo
+    if servo is None:
+        return DrawnGains((), (), (), np.empty((n, 0)), np.empty(0), None), None, []
+    errors = result.servo_errors or ServoErrors()
+    kp, kd = np.nan_to_num([servo.kp, servo.kd])
+    factors, notes = _draw_stiffness(result, kp, errors, n, random)
+    delay = servo.delay or 0.0
+    late = np.maximum(delay + errors.delay * random.normal(size=n), 0.0)
+    if errors.lead:
+        notes.append(
+            "the lead of the servo is the identified one in every draw; its standard error is"
+            f" {1e3 * errors.lead:.2g} ms"
+        )
+    turning = [joint.is_revolute for joint in result.model.joints]
+    numbers = range(1, len(kp) + 1)
+    drawn = DrawnGains(
+        (*(f"kp{k}" for k in numbers), *(f"kd{k}" for k in numbers), "delay"),
+        (
+            *("N m/rad" if revolute else "N/m" for revolute in turning),
+            *("N m s/rad" if revolute else "N s/m" for revolute in turning),
+            "s",
+        ),
+        (*result.joint_names, *result.joint_names, "all"),
+        np.column_stack([kp * factors, np.tile(kd, (n, 1)), late]),
+        np.concatenate([kp, kd, [delay]]),
+        servo,
+    )
+    return drawn, factors, notes
+
+
+def _draw_stiffness(
+    result: IdentificationResult,
+    kp: Array,
+    errors: ServoErrors,
+    n: int,
+    random: np.random.Generator,
+) -> tuple[Array, list[str]]:
+    """Return factors of the stiffness kp (n_joints,), (N, 1 or n_joints), and notes."""
+    joints = result.model.n_joints
+    error = np.array(errors.kp) if errors.kp else np.zeros(joints)
+    relative = np.divide(error, kp, out=np.zeros(joints), where=kp > 0)
+    unknown = ~np.isfinite(relative)
+    relative[unknown] = 0.0
+    factors = np.exp(relative * random.normal(size=(n, 1 if errors.shared else joints)))
+    if not np.any(unknown):
+        return factors, []
+    names = [result.joint_names[k] for k in np.flatnonzero(unknown)]
+    note = (
+        f"the stiffness of the servo of {join_names(names)} is undetermined: every draw has the"
+        " same one, and only ratios to it mean something"
+    )
+    return factors, [note]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Ensemble:
     """Hold N robots that a result allows, equally probable.
 
@@ -153,7 +248,7 @@ class Ensemble:
     def units(self) -> tuple[str, ...]:
         """Units of the columns of `table`."""
         model = self.result.model
-        return (*parameter_units(model, self.result.base.drive), *self.gains.list_units(model))
+        return (*parameter_units(model, self.result.base.drive), *self.gains.units)
 
     @property
     def table(self) -> Array:
@@ -168,7 +263,7 @@ class Ensemble:
     @property
     def quantiles(self) -> Array:
         """The 5, 50 and 95 % quantiles of each column, shape (3, columns)."""
-        return np.asarray(np.quantile(self.table, QUANTILES, axis=0))
+        return np.quantile(self.table, QUANTILES, axis=0)
 
     @property
     def moved(self) -> int:
@@ -281,7 +376,7 @@ def _draw_tails(result: IdentificationResult, n: int, random: np.random.Generato
     nu = max(mean_degrees(result.degrees_of_freedom), FEWEST_DEGREES)
     if not np.isfinite(nu):
         return np.ones(n)
-    return np.asarray(np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu])))
+    return np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu]))
 
 
 def _scale_draws(result: IdentificationResult, drawn: Array, factors: Array) -> Array:

@@ -29,39 +29,28 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.scaled import Scaled
 from asbuilt.tables import format_share, round_significant
 
-
-@dataclass(frozen=True, slots=True)
-class DeterminationThresholds:
-    """Limits by which parameters are classed as determined and further motions are compared.
-
-    What is hardly determined is said by `POOR_RELATIVE_ERROR`, as in the findings of a result.
-    """
-
-    well: float = 0.10
-    """Largest standard error of a parameter determined well, relative to estimate or CAD: a
-    convention of this program, which serves simulation."""
-    correlated: float = 2.5
-    """Smallest ratio of an error to its value with the other parameters known (the square root of
-    the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
-    shown: float = 3.0
-    """Errors, with the other parameters known, from which a spring differs from none."""
-    named: float = 0.35
-    """Smallest coefficient, relative to the largest, of a parameter named in a combination."""
-    combinations: int = 6
-    """Most combinations."""
-    seconds: float = 20.0
-    """Length of a further motion [s]."""
-    draws: int = 160
-    """States drawn of each kind of motion."""
-    helps: float = 0.5
-    """Largest ratio of the errors after and before with which a motion is advised."""
-    added: float = 1e-8
-    """Information added in every direction, relative to a parameter's own, so errors are finite."""
-    slow: float = 0.05
-    """Speed of a slow motion as a fraction of the velocity limit."""
-
-
-LIMITS = DeterminationThresholds()
+WELL = 0.10
+"""Largest standard error of a parameter determined well, relative to estimate or CAD: a convention
+of this program, which serves simulation. `POOR_RELATIVE_ERROR` says what is determined hardly."""
+CORRELATED = 2.5
+"""Smallest ratio of an error to its value with the other parameters known (the square root of
+the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
+SHOWN = 3.0
+"""Errors, with the other parameters known, from which a spring differs from none."""
+NAMED = 0.35
+"""Smallest coefficient, relative to the largest, of a parameter named in a combination."""
+COMBINATIONS = 6
+"""Most combinations."""
+FURTHER_SECONDS = 20.0
+"""Length of a further motion [s]."""
+DRAWS = 160
+"""States drawn of each kind of motion."""
+HELPS = 0.5
+"""Largest ratio of the errors after and before with which a motion is advised."""
+ADDED = 1e-8
+"""Information added in every direction, relative to a parameter's own, so errors are finite."""
+SLOW = 0.05
+"""Speed of a slow motion as a fraction of the velocity limit."""
 MOST_NAMED = 5
 MOST_LISTED = 14
 
@@ -118,7 +107,7 @@ class Determination:
         little = f", {len(self.negligible)} of which change the torque of this motion little"
         worse = f"worse: {len(self.hardly)}{little if self.negligible else ''}"
         parts = [
-            f"Standard error at most {100 * LIMITS.well:g} %: {len(self.well)} of"
+            f"Standard error at most {100 * WELL:g} %: {len(self.well)} of"
             f" {sum(map(len, classes))} parameters",
             f"at most {100 * POOR_RELATIVE_ERROR:g} %: {len(self.fairly)} more",
             *([worse] if self.hardly else []),
@@ -130,7 +119,7 @@ class Determination:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Classes, correlated parameters and advice, in sentences."""
-        well = f"{100 * LIMITS.well:g} %"
+        well = f"{100 * WELL:g} %"
         poor = f"{100 * POOR_RELATIVE_ERROR:g} %"
         classes = (
             (f"Standard error at most {well}", self.well, ""),
@@ -161,7 +150,7 @@ class Determination:
             for combination in self.combinations
         ]
         found += [
-            f"{LIMITS.seconds:g} s more of {tip.motion} would reduce the errors of"
+            f"{FURTHER_SECONDS:g} s more of {tip.motion} would reduce the errors of"
             f" {join_names(tip.names, MOST_LISTED)} to about {format_share(tip.ratio, 0)}."
             for tip in self.advice
         ]
@@ -216,7 +205,7 @@ def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
     dropped = result.dropped
     error = result.std_errors
     determined = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
-    well = determined & (error <= LIMITS.well * size)
+    well = determined & (error <= WELL * size)
     hardly = determined & (error > POOR_RELATIVE_ERROR * size)
     return {
         "well": well,
@@ -244,7 +233,7 @@ def report_springs(result: IdentificationResult) -> tuple[Finding, ...]:
     found = [
         (parameter.name, join_names([base.names[j] for j in instead]))
         for k, parameter in enumerate(result.parameters)
-        if parameter.name in springs and parameter.std_error > LIMITS.well * abs(parameter.estimate)
+        if parameter.name in springs and parameter.std_error > WELL * abs(parameter.estimate)
         if (instead := _find_replacements(result, k, masses)).size
     ]
     return tuple(
@@ -275,11 +264,11 @@ def _find_replacements(result: IdentificationResult, k: int, others: Indices) ->
     explained = Scaled(result.covariance[np.ix_(others, others)]).square(own)
     own = own / error[others]
     left = float(np.sqrt(max(1.0 - explained, 0.0)))
-    alone = abs(result.estimates[k]) > LIMITS.shown * left * error[k]
-    if left > 1.0 / LIMITS.correlated or not alone:
+    alone = abs(result.estimates[k]) > SHOWN * left * error[k]
+    if left > 1.0 / CORRELATED or not alone:
         return others[:0]
     order = np.argsort(-np.abs(own), kind="stable")
-    close = np.abs(own[order]) >= (1.0 - LIMITS.named) * np.abs(own).max()
+    close = np.abs(own[order]) >= (1.0 - NAMED) * np.abs(own).max()
     return np.asarray(others[order[close][:MOST_NAMED]])
 
 
@@ -292,16 +281,16 @@ def _find_combinations(
     eigenvalues, vectors = np.linalg.eigh(information[np.ix_(seen, seen)] * np.outer(scale, scale))
     found: list[Combination] = []
     for value, vector in zip(eigenvalues, vectors.T, strict=True):
-        if value > 1.0 / LIMITS.correlated**2 or len(found) == LIMITS.combinations:
+        if value > 1.0 / CORRELATED**2 or len(found) == COMBINATIONS:
             break
         if value <= 0:
             continue
         order = np.argsort(-np.abs(vector), kind="stable")
-        part = [int(i) for i in order if abs(vector[i]) >= LIMITS.named * abs(vector[order[0]])]
+        part = [int(i) for i in order if abs(vector[i]) >= NAMED * abs(vector[order[0]])]
         spread = float(abs(vector[order[0]]) / np.sqrt(value))
         if (
             len(part) < 2
-            or spread < LIMITS.correlated
+            or spread < CORRELATED
             or any(result.base.names[seen[part[0]]] == each.names[0] for each in found)
         ):
             continue
@@ -328,7 +317,7 @@ def error_ratios(
     `extras` are mean information matrices (p, p) of a sample of each motion, of which 20 s are as
     independent as those recorded.
     """
-    independent = result.effective_samples / max(result.duration, 1e-9) * LIMITS.seconds
+    independent = result.effective_samples / max(result.duration, 1e-9) * FURTHER_SECONDS
     before, ceiling = _predict_errors(information, weak)
     return np.array(
         [
@@ -365,7 +354,7 @@ def best_motions(
     left = np.ones(weak.size, dtype=bool)
     found: list[Advice] = []
     for some in choices:
-        served = left & (table[some] < LIMITS.helps)
+        served = left & (table[some] < HELPS)
         helped = served.sum(axis=1)
         best = int(np.argmax(helped >= nearly * helped.max()))
         if not served[best].any():
@@ -384,7 +373,7 @@ def _predict_errors(
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     whitened = information * np.outer(size, size)
-    whitened[np.diag_indices_from(whitened)] += LIMITS.added
+    whitened[np.diag_indices_from(whitened)] += ADDED
     root, failed = lapack.dpotrf(whitened)
     # Rounding of a motion that shows others much better may exceed what is added.
     if failed:
@@ -422,10 +411,10 @@ def _draw_motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]
     bounds = MotionBounds.assumed(model)
     rng = np.random.default_rng(0)
     n = model.n_joints
-    q = draw_postures_within(model, bounds.lower, bounds.upper, rng, LIMITS.draws)
-    speed, acceleration = (rng.uniform(-1.0, 1.0, size=(LIMITS.draws, n)) for _ in range(2))
+    q = draw_postures_within(model, bounds.lower, bounds.upper, rng, DRAWS)
+    speed, acceleration = (rng.uniform(-1.0, 1.0, size=(DRAWS, n)) for _ in range(2))
     still = np.zeros_like(q)
-    slow = LIMITS.slow * speed * bounds.velocity
+    slow = SLOW * speed * bounds.velocity
     yield "slow motion through poses all over the joint ranges", q, slow, still
     for name, alone in zip(model.joint_names, np.eye(n), strict=True):
         yield (

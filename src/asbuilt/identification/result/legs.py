@@ -21,7 +21,8 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
-    LIMITS,
+    FURTHER_SECONDS,
+    WELL,
     Advice,
     best_motions,
     error_ratios,
@@ -73,7 +74,7 @@ def _advise_motion(result: IdentificationResult, samples: Sequence[Samples]) -> 
         "weak_excitation",
         "warning",
         f"This motion leaves {weak} of {result.n_base} parameters with errors above"
-        f" {100 * LIMITS.well:g} %; {LIMITS.seconds:g} s {', and '.join(parts)}",
+        f" {100 * WELL:g} %; {FURTHER_SECONDS:g} s {', and '.join(parts)}",
         Cure("record that too, and identify from all logs together"),
     )
 
@@ -277,4 +278,4 @@ def _build_rows(
     rolling = np.einsum("sck,sckj->sj", pressed[:, :, None] * roll, J[:, :, 3:5])
     whole = np.concatenate([W, np.stack([torsional, rolling, left], axis=2)], axis=2)
     whole -= np.einsum("smj,snm,snc->sjc", across, back, whole, optimize=True)
-    return np.asarray(whole / noise[:, None])
+    return whole / noise[:, None]

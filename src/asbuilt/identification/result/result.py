@@ -25,7 +25,7 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, list_warnings
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.information.cause_data import CauseData
@@ -42,7 +42,12 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.identification.servo.servo_rows import ServoErrors
-from asbuilt.identification.uncertainty.block_scatter import BlockScatter, ErrorBasis
+from asbuilt.identification.uncertainty.block_scatter import (
+    FEWEST_DEGREES,
+    BlockScatter,
+    ErrorBasis,
+    widening,
+)
 from asbuilt.identification.uncertainty.delay_errors import RecordingDelay
 from asbuilt.identification.uncertainty.uncertainty import FreeValues
 from asbuilt.registry import Registry
@@ -313,7 +318,7 @@ class IdentificationResult:
     @property
     def weights(self) -> Array:
         """One over the standard deviation of each joint's torque residual, (n,); always finite."""
-        return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
+        return 1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny)
 
     @property
     def result(self) -> IdentificationResult:
@@ -371,16 +376,19 @@ class IdentificationResult:
     def tvalues(self) -> Array:
         """Estimates in standard errors, shape (p,); NaN for dropped parameters."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.estimates / self.std_errors)
+            return self.estimates / self.std_errors
 
     def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
         """Return confidence intervals, shape (p, 2), by Student's distribution.
 
-        An interval misses the truth with probability `alpha`, as in statsmodels: 0.05 for 95 %.
-        The `degrees_of_freedom` belong to the standard errors. NaN for dropped parameters.
-        Raises `UsageError` unless `alpha` lies between 0 and 0.5.
+        An interval misses the truth with probability `alpha`, as in statsmodels: 0.05 for 95 %,
+        which are 1.96 standard errors. The `degrees_of_freedom` belong to the standard errors. NaN
+        for dropped parameters. Raises `UsageError` unless `alpha` lies between 0 and 0.5.
         """
-        return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, alpha)
+        freedom = np.maximum(self.degrees_of_freedom, FEWEST_DEGREES)
+        # Standard errors are widened for few degrees of freedom already, and count once.
+        errors = self.std_errors / widening(freedom)
+        return confidence_intervals(self.estimates, errors, freedom, alpha)
 
     def to_frame(self, alpha: float = USUAL_ALPHA) -> pl.DataFrame:
         """Return a polars frame with a row per base parameter.
@@ -603,9 +611,7 @@ class IdentificationResult:
             "n_standard": self.n_standard,
             "n_base": self.n_base,
             "joints": list(self.joint_names),
-            "warnings": [
-                {"code": finding.code, "message": finding.text} for finding in self.findings
-            ],
+            "warnings": list_warnings(self.findings),
             **own,
         }
 

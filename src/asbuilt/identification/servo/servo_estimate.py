@@ -15,7 +15,7 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, fit_logged_magnitude_laws
 from asbuilt.experiment.command.torque import drive_by_command
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.information.equations import Equations
@@ -29,8 +29,8 @@ from asbuilt.identification.servo.deviations import (
 )
 from asbuilt.identification.servo.servo_fits import (
     DelayFit,
-    DelaySlopes,
     ServoScale,
+    average_slopes,
     find_scale,
     fit_delay,
 )
@@ -40,7 +40,7 @@ from asbuilt.identification.servo.servo_rows import (
     ServoErrors,
     reduce_servo_recordings,
 )
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, with_equation_noise
+from asbuilt.identification.uncertainty.pose_noise import MeanScores, with_equation_noise
 
 UNEXPLAINED = 3.0
 """Residual of a second, in residuals of the median second, from which the model lacks its cause:
@@ -62,9 +62,9 @@ class ServoEstimate:
     errors: ServoErrors
     unexplained: tuple[TimeBlock, ...] = ()
     goals: tuple[GoalLimit | None, ...] = ()
-    slopes: DelaySlopes | None = None
+    slopes: MeanScores | None = None
     currents: tuple[MagnitudeLaw | None, ...] = ()
-    expected: ExpectedScores | None = None
+    expected: MeanScores | None = None
 
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
@@ -219,7 +219,7 @@ def estimate_servo(
             if ratio > UNEXPLAINED
         ),
         goals,
-        DelaySlopes.of(at.rows, base, (excess <= UNEXPLAINED).tolist(), at.kp),
+        average_slopes(at.rows, base, (excess <= UNEXPLAINED).tolist(), at.kp),
         fit_logged_magnitude_laws(driven),
         None if replayed is None else replayed.scores,
     )

@@ -28,7 +28,7 @@ from asbuilt.identification.servo.servo_rows import (
     sum_clusters,
 )
 from asbuilt.identification.uncertainty.delay_errors import DelayErrors
-from asbuilt.identification.uncertainty.pose_noise import DOUBT
+from asbuilt.identification.uncertainty.pose_noise import DOUBT, MeanScores
 from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 from asbuilt.scaled import Scaled
 
@@ -165,36 +165,28 @@ def _find_varying_columns(base: BaseParameters) -> Indices:
     return np.flatnonzero(np.resize(varies, base.n_standard - 10 * base.n_links))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DelaySlopes:
-    """Hold `sum of W_k kp du/dt` of each joint's rows by parameter name, per sample.
+def average_slopes(
+    rows: Equations, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
+) -> MeanScores:
+    """Return the scores of `kp du/dt` of rows whose time blocks count.
 
     The torque `kp (u(t - d) - q)` falls by `kp du/dt` per delay.
     """
-
-    names: tuple[tuple[str, ...], ...]
-    means: tuple[Array, ...]
-
-    @classmethod
-    def of(
-        cls, rows: Equations, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
-    ) -> DelaySlopes:
-        """Return the slopes of rows whose time blocks count."""
-        supports = [rows.in_model(k) for k in range(rows.n_joints)]
-        weight = np.array(counted, dtype=np.float64)
-        count = max(float(weight @ rows.lengths), 1.0)
-        means = (
-            kp[k] * rows.of_joint(k, weight)[: own.size, own.size + 1] / count
-            for k, own in enumerate(supports)
-        )
-        names = (tuple(base.names[j] for j in own) for own in supports)
-        return cls(tuple(names), tuple(means))
+    supports = [rows.in_model(k) for k in range(rows.n_joints)]
+    weight = np.array(counted, dtype=np.float64)
+    count = max(float(weight @ rows.lengths), 1.0)
+    means = (
+        kp[k] * rows.of_joint(k, weight)[: support.size, support.size + 1] / count
+        for k, support in enumerate(supports)
+    )
+    names = (tuple(base.names[j] for j in support) for support in supports)
+    return MeanScores(tuple(names), tuple(means))
 
 
 def estimate_servo_delay_errors(
     information: SquareRootInformation,
     estimate: Estimate,
-    slopes: DelaySlopes,
+    slopes: MeanScores,
     delay: float,
     std_error: float,
 ) -> DelayErrors | None:
@@ -205,17 +197,7 @@ def estimate_servo_delay_errors(
     """
     if not 0.0 < std_error < np.inf:
         return None
-    base = information.base
-    place = {name: j for j, name in enumerate(base.names)}
-    side = np.zeros(base.n_base)
-    # The right side is summed per sample, as the rows here and of the estimate differ in number.
-    for names, mean, weight in zip(slopes.names, slopes.means, estimate.weights, strict=True):
-        for name, value in zip(names, mean, strict=True):
-            # Parameters that the estimate has not regrouped alike cannot follow.
-            if name in place:
-                side[place[name]] += weight**2 * value * information.n_samples
-    root = estimate.solution.inverse_root
-    follows = -root @ (root.T @ side)
+    follows = -slopes.follow(information, estimate)
     return DelayErrors(np.outer(follows, follows) * std_error**2, -follows * delay)
 
 

@@ -34,7 +34,7 @@ from asbuilt.identification.servo.servo_rows import (
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import DriveSignal, SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
-from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
+from asbuilt.identification.uncertainty.pose_noise import MeanScores
 
 # Settings of a replay: own choices.
 
@@ -57,7 +57,7 @@ class Replay:
     noise of `copies` copies changes, as many for each.
     """
 
-    scores: ExpectedScores
+    scores: MeanScores
     weighted: tuple[Array, ...]
     draws: tuple[Array, ...]
     copies: int
@@ -146,7 +146,7 @@ def replay(
     )
     joints = range(model.n_joints)
     return Replay(
-        ExpectedScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
+        MeanScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
         tuple(_average_scores(every, k, weighted=True) for k in joints),
         tuple(np.concatenate([_measure_noise_changes(pair, k) for pair in copies]) for k in joints),
         2 * pairs,
@@ -250,7 +250,7 @@ def estimate_position_noise(recording: Recording) -> Array:
     high = np.fft.rfftfreq(REPLAY_WINDOW, 0.5) > REPLAY_ABOVE
     parts = [np.mean(density[high], axis=0) for density in spectra]
     weights = [rows.size for rows in runs]
-    return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
+    return np.sqrt(np.average(parts, axis=0, weights=weights))
 
 
 def _add_noise(
@@ -307,4 +307,4 @@ def _measure_noise_changes(copies: Sequence[_Copy], k: int) -> Array:
     if len({copy.rows.n_blocks for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
     sums = np.array([sum_clusters(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
-    return np.asarray(np.concatenate(sums - sums.mean(axis=0)))
+    return np.concatenate(sums - sums.mean(axis=0))

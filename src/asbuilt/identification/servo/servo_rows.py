@@ -24,28 +24,20 @@ from asbuilt.experiment.command.torque import (
     drop_slow_rows,
     hold_command,
 )
-from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
+from asbuilt.experiment.signal.preparation import MotionFilters, PreparedMotion
 from asbuilt.findings import Cure
 from asbuilt.identification.information.equations import MODEL, Equations
 from asbuilt.identification.information.rows import SampleBlock, TimeBlock, divide_into_blocks
 from asbuilt.scaled import Scaled
 
-
-@dataclass(frozen=True, slots=True)
-class BlockRules:
-    """Hold how the rows of a servo are divided into blocks, and how many are held."""
-
-    fewest: int = 5
-    """Rows of a joint in a block below which its residual does not count."""
-    block: float = 1.0
-    """Length of a time block [s], short enough to leave out a collision and little else."""
-    run: int = 8
-    """Time blocks whose rows are made at once."""
-    most_held: float = 50e6
-    """Memory [bytes] of the rows of a recording that are kept; more are made again each time."""
-
-
-BLOCKS = BlockRules()
+FEWEST_ROWS = 5
+"""Rows of a joint in a block below which its residual does not count."""
+BLOCK_SECONDS = 1.0
+"""Length of a time block [s], short enough to leave out a collision and little else."""
+BLOCKS_AT_ONCE = 8
+"""Time blocks whose rows are made at once."""
+MOST_HELD = 50e6
+"""Memory [bytes] of the rows of a recording that are kept; more are made again each time."""
 VELOCITY = "velocity"
 RATE = "rate"
 """Groups of the columns of joint velocities, and of rates of the command."""
@@ -175,14 +167,14 @@ class CommandedMotion:
 
     @cached_property
     def _blocks(self) -> tuple[tuple[SampleBlock, ...], ...]:
-        """Neighbouring time blocks of a segment, `BLOCKS.run` at a time."""
-        every = divide_into_blocks(self.model, [self._velocity], BLOCKS.block)
+        """Neighbouring time blocks of a segment, `BLOCKS_AT_ONCE` at a time."""
+        every = divide_into_blocks(self.model, [self._velocity], BLOCK_SECONDS)
         # Blocks of a segment share their start; over a gap no rows are made together.
         segments = [tuple(same) for _, same in groupby(every, key=lambda block: block.start)]
         return tuple(
-            blocks[first : first + BLOCKS.run]
+            blocks[first : first + BLOCKS_AT_ONCE]
             for blocks in segments
-            for first in range(0, len(blocks), BLOCKS.run)
+            for first in range(0, len(blocks), BLOCKS_AT_ONCE)
         )
 
     @cached_property
@@ -191,7 +183,7 @@ class CommandedMotion:
         outputs = sum(block.n_outputs for blocks in self._blocks for block in blocks)
         rows = sum(support.size + 1 for support in self.support)
         # Eight bytes a number.
-        few = 8.0 * outputs * rows <= BLOCKS.most_held
+        few = 8.0 * outputs * rows <= MOST_HELD
         return tuple(map(self._reduce_run, self._blocks)) if few else None
 
     def _reduce_run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
@@ -347,7 +339,7 @@ def block_variances(rows: Equations, k: int, residual: Array) -> Array:
     """Return the mean square in each block of a combination of joint k's rows (B,), NaN if few."""
     count = rows.counts[k]
     # The mean of few rows is mostly their fit.
-    many = count >= BLOCKS.fewest
+    many = count >= FEWEST_ROWS
     return np.where(many, block_energies(rows, k, residual) / np.maximum(count, 1), np.nan)
 
 
@@ -365,7 +357,7 @@ def sum_clusters(scores: Array, rows: Equations) -> Array:
     sources = np.array([block.source for block in rows.blocks])
     # A cluster ends with its recording: residuals of two are not correlated.
     firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
-    return np.asarray(np.add.reduceat(scores, firsts))
+    return np.add.reduceat(scores, firsts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

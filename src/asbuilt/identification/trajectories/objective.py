@@ -12,7 +12,13 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import pseudo_inertias
-from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, smat, svec
+from asbuilt.identification.bodies.cad_prior import (
+    PSEUDO_INERTIA_SVEC,
+    CadPrior,
+    body_metric_root,
+    smat,
+    svec,
+)
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
 from asbuilt.identification.trajectories.simulated_robot import FittedLaw, SimulatedRobot
@@ -115,14 +121,14 @@ class Objective:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return len(self.start.chi) + self.start.law.size
+        return len(self.start.chi) + len(self.start.law.free.names)
 
     def robot(self, point: Point) -> SimulatedRobot:
         """Return the robot of a point, the links of the description in place of its own."""
         model = self.trajectories.model
         drive = self.trajectories.base.drive
         values = point.chi[10 * self.n_links :].reshape(model.n_joints, -1)
-        return point.law.drive(SimulatedRobot(model, drive, values))
+        return SimulatedRobot(model, drive, values, point.law.servo)
 
     @cached_property
     def links_held(self) -> bool:
@@ -324,7 +330,7 @@ class Objective:
         grown = (axes * np.exp(np.clip(values, -20.0, 20.0))[:, None]) @ axes.transpose(0, 2, 1)
         P = L @ grown @ L.transpose(0, 2, 1)
         chi = point.chi.copy()
-        chi[: 10 * n] = np.linalg.solve(_SVEC, svec(P).T).T.reshape(-1)
+        chi[: 10 * n] = np.linalg.solve(PSEUDO_INERTIA_SVEC, svec(P).T).T.reshape(-1)
         chi[10 * n :] += step[10 * n : len(chi)]
         bounded = self.prior.non_negative
         chi[bounded] = np.maximum(chi[bounded], 0.0)
@@ -345,26 +351,28 @@ class Objective:
         to_z = self._derive_parameters(point)[:, self.free]
         root = np.linalg.cholesky(quadratic.matrix[np.ix_(self.free, self.free)])
         spread = np.linalg.solve(root, to_z.T)
-        return np.asarray(spread.T @ spread)
+        return spread.T @ spread
 
     def drive_errors(self, quadratic: Quadratic) -> Array:
         """Return the standard errors (n, columns_per_joint) of the drive parameters."""
-        inverse = np.linalg.inv(quadratic.matrix[np.ix_(self.free, self.free)])
         variance = np.zeros(self.size)
-        variance[self.free] = np.diag(inverse)
+        variance[self.free] = np.diag(self._invert(quadratic.matrix))
         of_drives = variance[10 * self.n_links : len(self.start.chi)]
         return np.sqrt(of_drives).reshape(self.trajectories.model.n_joints, -1)
 
     def undetermined(self, quadratic: Quadratic) -> tuple[str, ...]:
         """Return the parameters of drives and law that the trajectories hardly determine."""
-        names = [*self.prior.names, *self.start.law.names]
-        at = np.ix_(self.free, self.free)
-        inverse = np.linalg.inv(quadratic.matrix[at])
+        names = [*self.prior.names, *self.start.law.free.names]
+        inverse = self._invert(quadratic.matrix)
         held = np.zeros(self.size)
-        rest = quadratic.matrix[at] - quadratic.data[at]
+        rest = (quadratic.matrix - quadratic.data)[np.ix_(self.free, self.free)]
         held[self.free] = np.diag(inverse @ rest @ inverse) / np.diag(inverse)
         drives = range(10 * self.n_links, self.size)
         return tuple(names[k] for k in drives if held[k] > OBJECTIVE_MOSTLY)
+
+    def _invert(self, matrix: Array) -> Array:
+        """Return the inverse of the part of a matrix (m, m) that belongs to what is fitted."""
+        return np.asarray(np.linalg.inv(matrix[np.ix_(self.free, self.free)]))
 
     def _derive_parameters(self, point: Point) -> Array:
         """Return how parameters of base and law follow from the coordinates, (p_z, m)."""
@@ -384,17 +392,21 @@ class Objective:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
         base = self.trajectories.base
         beta = base.regrouping @ point.chi
+        start = self.start.law
+        scale = point.law.stiffness_factor(start)
+        stiffness = np.zeros(self.information.n_joints)
+        if start.servo is not None and start.free.stiffness:
+            stiffness = np.array(start.servo.kp)
         rows = []
         rest = []
         for k, (support, factor) in enumerate(
             zip(self.information.support, self.information.joint_factors, strict=True)
         ):
             weighted = self.torque_weights[k] * factor
-            scale, per = point.law.torque_scale(self.start.law, k)
             row = np.zeros((len(factor), self.trajectories.n_parameters))
             row[:, support] = weighted[:, :-1]
-            if per:
-                row[:, base.n_base + k] = -weighted[:, -1] / per
+            if stiffness[k]:
+                row[:, base.n_base + k] = -weighted[:, -1] / stiffness[k]
             rows.append(row)
             rest.append(weighted[:, :-1] @ beta[support] - scale * weighted[:, -1])
         return np.concatenate(rows), np.concatenate(rest)
@@ -425,9 +437,6 @@ class Objective:
         law = slice(len(chi), None)
         ridge[drives] = OBJECTIVE_DRIVE_RIDGE / self.prior.drive_scale**2
         away[drives] = (chi - self.start.chi)[drives]
-        ridge[law] = point.law.weights
+        ridge[law] = point.law.free.weights
         away[law] = point.law.away(self.start.law)
         return ridge, away
-
-
-_SVEC = svec(pseudo_inertias(np.eye(10))).T

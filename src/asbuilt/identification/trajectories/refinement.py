@@ -58,6 +58,7 @@ class Refinement:
     iterations: int
 
 
+@use_one_blas_thread()
 def refine(
     objective: Objective,
     start: Point,
@@ -66,16 +67,6 @@ def refine(
     progress: Callable[[float], None] | None = None,
 ) -> Refinement:
     """Minimise the objective from a start."""
-    with use_one_blas_thread():
-        return _refine_point(objective, start, steps, progress)
-
-
-def _refine_point(
-    objective: Objective,
-    start: Point,
-    steps: Steps,
-    progress: Callable[[float], None] | None,
-) -> Refinement:
     point = start
     motions = objective.motions(start)
     done = 0

@@ -82,14 +82,14 @@ class DriveSignal:
             return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
         t, sums = self._sums
         integrals = np.stack([np.interp(edges, t, x) for x in sums], axis=-1)
-        return np.asarray(np.diff(integrals, axis=1) / step)
+        return np.diff(integrals, axis=1) / step
 
     def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
         """Return the derivative of `means` of a held signal by the delay, shape (W, steps, n)."""
         edges = starts[:, None] + step * np.arange(steps + 1) - delay
         times, values = self._held
         at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 1)
-        return np.asarray(-np.diff(values[at], axis=1) / step)
+        return -np.diff(values[at], axis=1) / step
 
 
 def select_finite(t: Array, values: Array) -> tuple[Array, Array]:
@@ -197,14 +197,10 @@ class SimulatedRobot:
         """Return the robot for steps [s] whose first-order errors are undone."""
         return replace(self, step=step)
 
-    def with_servo(self, servo: PositionServo | None) -> SimulatedRobot:
-        """Return the robot with another servo."""
-        return replace(self, servo=servo)
-
     def driven_by(self, signal: DriveSignal) -> SimulatedRobot:
         """Return the robot as a signal drives it: its servo acts only where that is a command."""
         # A torque drives the robot directly: its servo would add to it.
-        return self if signal.kind == "command" else self.with_servo(None)
+        return self if signal.kind == "command" else replace(self, servo=None)
 
 
 def choose_law(recording: Recording, result: IdentificationResult | None) -> PositionServo | None:
@@ -247,7 +243,7 @@ TIME_SPREAD = 20.0
 
 @dataclass(frozen=True, slots=True)
 class ServoCoordinates:
-    """Say what is fitted of a servo, and how coordinates change it.
+    """Say what is fitted of a servo.
 
     The coordinates are, as far as they are free, the logarithm of a common factor of all
     stiffnesses, the delay, and a common addition to the leads. A lead is estimated if the torque
@@ -274,63 +270,15 @@ class ServoCoordinates:
         return tuple(name for name, there in free if there)
 
     @property
-    def size(self) -> int:
-        """Number of coordinates."""
-        return len(self.names)
-
-    @property
     def weights(self) -> Array:
-        """Weights of the squared coordinates from the start (size,)."""
+        """Weights of the squared coordinates from the start, one each."""
         spreads = {"stiffness": self.spread, "delay": TIME_SPREAD, "lead": TIME_SPREAD}
         return np.array([spreads[name] ** -2.0 for name in self.names])
-
-    def columns(self, servo: PositionServo) -> Array:
-        """Return how kp and kd of each joint, delay and lead follow, (2 n + 2, size)."""
-        n = len(servo.kp)
-        found = np.zeros((2 * n + 2, self.size))
-        for column, name in enumerate(self.names):
-            if name == "stiffness":
-                found[:n, column] = servo.kp
-            else:
-                found[2 * n + (name == "lead"), column] = TIME_SCALE
-        return found
-
-    def moved(self, servo: PositionServo, step: Array) -> PositionServo:
-        """Return the servo at coordinates `step` (size,) from a servo."""
-        by = dict(zip(self.names, step.tolist(), strict=True))
-        if "stiffness" in by:
-            factor = float(np.exp(by["stiffness"]))
-            servo = replace(servo, kp=tuple(factor * x for x in servo.kp))
-        if "delay" in by:
-            late = (servo.delay or 0.0) + TIME_SCALE * by["delay"]
-            servo = replace(servo, delay=max(late, 0.0) if self.lead else late)
-        if "lead" in by:
-            leads = np.maximum(servo.leads + TIME_SCALE * by["lead"], 0.0)
-            servo = replace(servo, lead=tuple(leads.tolist()))
-        return servo
-
-    def away(self, servo: PositionServo, start: PositionServo) -> Array:
-        """Return the coordinates (size,) of a servo from another."""
-        distance = {
-            "stiffness": np.log(max(servo.kp) / max(start.kp)),
-            "delay": ((servo.delay or 0.0) - (start.delay or 0.0)) / TIME_SCALE,
-            "lead": float(np.mean(servo.leads - start.leads)) / TIME_SCALE,
-        }
-        return np.array([distance[name] for name in self.names])
-
-    def at_bound(self, servo: PositionServo, gradient: Array) -> Mask:
-        """Return which coordinates (size,) lie at their bound with the descent beyond it."""
-        low = {
-            "stiffness": False,
-            "delay": self.lead and not (servo.delay or 0.0) > 0.0,
-            "lead": not np.any(servo.leads > 0.0),
-        }
-        return np.array([low[name] for name in self.names], dtype=np.bool_) & (gradient > 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class FittedLaw:
-    """Hold a servo at a point of a search, with its coordinates; without one there are none.
+    """Hold a servo at a point of a search, with its c coordinates; without one there are none.
 
     Parameters
     ----------
@@ -353,52 +301,61 @@ class FittedLaw:
         )
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the coordinates."""
-        return self.free.names
-
-    @property
-    def size(self) -> int:
-        """Number of coordinates."""
-        return self.free.size
-
-    @property
-    def weights(self) -> Array:
-        """Weights of the squared coordinates from the start (size,)."""
-        return self.free.weights
-
-    @property
     def columns(self) -> Array:
-        """How kp and kd of each joint, delay and lead follow, (2 n + 2, size)."""
-        return np.empty((1, 0)) if self.servo is None else self.free.columns(self.servo)
-
-    def drive(self, robot: SimulatedRobot) -> SimulatedRobot:
-        """Return a robot that the law drives."""
-        return robot.with_servo(self.servo)
+        """How kp and kd of each joint, delay and lead follow the coordinates, (2 n + 2, c)."""
+        if self.servo is None:
+            return np.empty((1, 0))
+        n = len(self.servo.kp)
+        found = np.zeros((2 * n + 2, len(self.free.names)))
+        for column, name in enumerate(self.free.names):
+            if name == "stiffness":
+                found[:n, column] = self.servo.kp
+            else:
+                found[2 * n + (name == "lead"), column] = TIME_SCALE
+        return found
 
     def moved(self, step: Array) -> FittedLaw:
-        """Return the law at coordinates `step` (size,) from it."""
-        return (
-            self if self.servo is None else replace(self, servo=self.free.moved(self.servo, step))
-        )
+        """Return the law at coordinates `step` (c,) from it."""
+        servo = self.servo
+        if servo is None:
+            return self
+        by = dict(zip(self.free.names, step.tolist(), strict=True))
+        if "stiffness" in by:
+            factor = float(np.exp(by["stiffness"]))
+            servo = replace(servo, kp=tuple(factor * kp for kp in servo.kp))
+        if "delay" in by:
+            late = (servo.delay or 0.0) + TIME_SCALE * by["delay"]
+            servo = replace(servo, delay=max(late, 0.0) if self.free.lead else late)
+        if "lead" in by:
+            leads = np.maximum(servo.leads + TIME_SCALE * by["lead"], 0.0)
+            servo = replace(servo, lead=tuple(leads.tolist()))
+        return replace(self, servo=servo)
 
     def at_bound(self, gradient: Array) -> Mask:
-        """Return which coordinates (size,) lie at their bound with the descent beyond it."""
+        """Return which coordinates (c,) lie at their bound with the descent beyond it."""
         if self.servo is None:
             return np.empty(0, dtype=np.bool_)
-        return self.free.at_bound(self.servo, gradient)
+        low = {
+            "stiffness": False,
+            "delay": self.free.lead and not (self.servo.delay or 0.0) > 0.0,
+            "lead": not np.any(self.servo.leads > 0.0),
+        }
+        return np.array([low[name] for name in self.free.names], dtype=np.bool_) & (gradient > 0.0)
 
     def away(self, start: FittedLaw) -> Array:
-        """Return the coordinates (size,) from another law."""
+        """Return the coordinates (c,) from another law."""
         if self.servo is None or start.servo is None:
-            return np.zeros(self.size)
-        return self.free.away(self.servo, start.servo)
+            return np.zeros(len(self.free.names))
+        distance = {
+            "stiffness": np.log(self.stiffness_factor(start)),
+            "delay": ((self.servo.delay or 0.0) - (start.servo.delay or 0.0)) / TIME_SCALE,
+            "lead": float(np.mean(self.servo.leads - start.servo.leads)) / TIME_SCALE,
+        }
+        return np.array([distance[name] for name in self.free.names])
 
-    def torque_scale(self, start: FittedLaw, k: int) -> tuple[float, float]:
-        """Return the factor of the torque of joint k from another law, and kp per unit of it.
-
-        The latter is zero where the stiffness is not fitted.
-        """
+    def stiffness_factor(self, start: FittedLaw) -> float:
+        """Return the factor of all stiffnesses from another law, 1 where none is fitted."""
         if self.servo is None or start.servo is None or not self.free.stiffness:
-            return 1.0, 0.0
-        return self.servo.kp[k] / start.servo.kp[k], start.servo.kp[k]
+            return 1.0
+        # A joint that the servo does not hold has none.
+        return max(self.servo.kp) / max(start.servo.kp)

@@ -115,11 +115,11 @@ class Windows:
         if not np.any(lead):
             return self.signal.means(self.starts, self.n_steps, self.step, delay)
         means = self._from_one_before(delay)
-        return np.asarray(means[:, 1:] + np.asarray(lead) * (np.diff(means, axis=1) / self.step))
+        return means[:, 1:] + np.asarray(lead) * (np.diff(means, axis=1) / self.step)
 
     def rates(self, delay: float) -> Array:
         """Return the rate of the delayed signal from step to step, shape (W, n_steps, n)."""
-        return np.asarray(np.diff(self._from_one_before(delay), axis=1) / self.step)
+        return np.diff(self._from_one_before(delay), axis=1) / self.step
 
     def _from_one_before(self, delay: float) -> Array:
         """Return the mean of the delayed signal over a step before the first, and over each."""
@@ -132,7 +132,7 @@ class Windows:
         if not np.any(lead):
             return slopes
         before = self.signal.slopes(*here, delay + self.step)
-        return np.asarray(slopes + np.asarray(lead) * (slopes - before) / self.step)
+        return slopes + np.asarray(lead) * (slopes - before) / self.step
 
 
 def cut_windows(

@@ -54,10 +54,8 @@ class OmittedBias:
             return ""
         return f"Standard errors include the bias by what the model may lack: {self.effects}."
 
-    def with_further(self, other: OmittedBias | None) -> OmittedBias:
+    def with_further(self, other: OmittedBias) -> OmittedBias:
         """Return the bias with another one, independent of it."""
-        if other is None:
-            return self
         return OmittedBias(
             bias=self.bias + other.bias,
             covariance=self.covariance + other.covariance,
@@ -93,7 +91,7 @@ def derive_estimate_moves(information: SquareRootInformation, estimate: Estimate
     """
     seen = (estimate.information or information).stacked(estimate.weights)[:-1, :-1]
     root = estimate.solution.inverse_root
-    return np.asarray(root @ (seen @ root).T @ seen)
+    return root @ (seen @ root).T @ seen
 
 
 def position_noise_bias(
@@ -125,7 +123,7 @@ def position_noise_bias(
             # Recordings count by their samples, whichever states they were averaged over.
             normal += variance[k] * len(samples.q) / total * (rows.T @ weighted) / len(q)
     normal *= result.n_samples
-    return np.asarray(-result.textbook_covariance @ normal @ result.estimates)
+    return -result.textbook_covariance @ normal @ result.estimates
 
 
 def report_position_noise(

@@ -146,7 +146,7 @@ class BlockScatter:
     @property
     def degrees_of_freedom(self) -> Array:
         """Degrees of freedom of each variance, shape (p,)."""
-        return np.asarray(2.0 / (2.0 / self.degrees_alone + self.common_variance))
+        return 2.0 / (2.0 / self.degrees_alone + self.common_variance)
 
     @classmethod
     def of(cls, moves: Array, degrees_alone: Array, common_variance: float) -> BlockScatter:
@@ -201,7 +201,7 @@ def student_probability(sigmas: Array, degrees_of_freedom: Array) -> Array:
     """
     freedom = np.maximum(np.asarray(degrees_of_freedom, dtype=np.float64), FEWEST_DEGREES)
     deviation = np.abs(np.asarray(sigmas, dtype=np.float64)) * widening(freedom)
-    return np.asarray(2.0 * stdtr(np.where(np.isfinite(freedom), freedom, 1e12), -deviation))
+    return 2.0 * stdtr(np.where(np.isfinite(freedom), freedom, 1e12), -deviation)
 
 
 def sum_degrees(*parts: tuple[Array, Array]) -> Array:
@@ -365,7 +365,7 @@ def find_repetitions(data: BlockScores) -> Mask:
     apart = np.maximum(total - 2.0 * products, 0.0)
     # Relative distance of the information per sample below which blocks repeat a motion: 0.01 to
     # 0.05 in one motion recorded twice, over 0.18 between other blocks of six real robots.
-    return np.asarray(np.triu(apart < 0.1**2 * total, 1))
+    return np.triu(apart < 0.1**2 * total, 1)
 
 
 def _add_pairs(
@@ -416,4 +416,4 @@ def _pair_like_motion(groups: Sequence[Indices], n_blocks: int) -> Mask:
     number = np.empty(n_blocks, dtype=np.int64)
     for k, group in enumerate(groups):
         number[group] = k
-    return np.asarray(np.triu(number[:, None] == number, 1))
+    return np.triu(number[:, None] == number, 1)

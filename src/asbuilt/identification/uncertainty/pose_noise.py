@@ -30,7 +30,7 @@ from asbuilt.dynamics import BaseParameters, find_base_parameters, observation_m
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment import Recording, Samples, resolve_chain
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain, Velocity
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -47,11 +47,12 @@ quite Coulomb's, and the replayed robot has errors itself. Settled on a virtual 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExpectedScores:
-    """Hold the mean over samples of `[W_k, ...]^T e_k` at the true parameters, for every joint k.
+class MeanScores:
+    """Hold the mean over samples of `[W_k, ...]^T e_k` for every joint k and a torque e_k.
 
-    `e_k` is the torque of the joint less `W_k beta`. `names[k]` name the parameters of
-    W_k; `means[k]` has their entries first, then entries of further columns.
+    Where e_k is the torque at the true parameters less `W_k beta`, it is what does not average out.
+    `names[k]` name the parameters of W_k; `means[k]` has their entries first, then entries of
+    further columns.
     """
 
     names: tuple[tuple[str, ...], ...]
@@ -86,19 +87,24 @@ class ExpectedScores:
             solutions.append(axes[there].T @ turned / scale)
         return tuple(solutions)
 
-    def doubt(self, information: SquareRootInformation, estimate: Estimate) -> Array:
-        """Return the covariance (p, p) of an estimate by the error of what was taken away."""
+    def follow(self, information: SquareRootInformation, estimate: Estimate) -> Array:
+        """Return what an estimate (p,) gains by torques e_k: `(W^T W)^-1 sum_k w_k^2 W_k^T e_k`.
+
+        Parameters that the estimate has not regrouped alike do not follow.
+        """
         side = np.zeros(information.base.n_base)
         for k, (support, weight) in enumerate(
             zip(information.support, estimate.weights, strict=True)
         ):
-            side[support] += (
-                weight**2
-                * information.n_samples
-                * self.of_parameters(k, [information.base.names[j] for j in support])
-            )
+            # Summed per sample: rows of the scores and of the estimate may differ in number.
+            score = self.of_parameters(k, [information.base.names[j] for j in support])
+            side[support] += weight**2 * information.n_samples * score
         root = estimate.solution.inverse_root
-        moved = DOUBT * root @ (root.T @ side)
+        return root @ (root.T @ side)
+
+    def doubt(self, information: SquareRootInformation, estimate: Estimate) -> Array:
+        """Return the covariance (p, p) of an estimate by the error of what was taken away."""
+        moved = DOUBT * self.follow(information, estimate)
         return np.outer(moved, moved)
 
 
@@ -119,7 +125,7 @@ class PoseNoise(NamedTuple):
     """
 
     beta: Array
-    scores: ExpectedScores | None
+    scores: MeanScores | None
     growth: Array
 
 
@@ -164,10 +170,10 @@ def expect_pose_noise(
         np.linalg.norm(directions, axis=1) for directions in (along, along * (1.0 + taken))
     )
     growth = np.divide(grown, before, out=np.ones(base.n_base), where=before > 0.0)
-    expected: ExpectedScores | None = None
+    expected: MeanScores | None = None
     for _ in range(POSE_NOISE_PASSES):
         pairs = zip(grams, information.support, strict=True)
-        expected = ExpectedScores(
+        expected = MeanScores(
             names, tuple(-(gram @ estimate.beta)[support] for gram, support in pairs)
         )
         estimate = fit_least_squares(

@@ -36,6 +36,11 @@ from asbuilt.validation.prediction import derive_cad_values, torque_units
 BODIES = (Payload.key, LinkMass.key)
 
 
+def can_attribute(result: IdentificationResult) -> bool:
+    """Return whether a result has what its causes follow from, and joints that stand for links."""
+    return result.cause_data is not None and not result.model.mixes_joints
+
+
 def attribute(
     result: IdentificationResult | Identified, cad: RobotModel | None = None
 ) -> Attribution:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.findings import join_names
 from asbuilt.identification.effects.effect import EFFECTS, GROUPS, FoundEffect, name_group
-from asbuilt.tables import Cell, Column, Shown, Table, round_significant, stack_tables, wrap_text
+from asbuilt.tables import Column, Table, round_significant, stack_tables, wrap_text
 from asbuilt.tables import format_share as percentage
 
 NAMED_SHARE = 0.05
@@ -127,32 +128,29 @@ class Attribution:
 
     def joint_table(self, as_built: Array) -> Table:
         """Return RMS torque, errors of CAD and as built (n,), and the effects, joint by joint."""
-        rows = (
-            (*start, describe_joint_effects(self, k, brief=True), describe_joint_effects(self, k))
-            for k, start in enumerate(self._begin_rows(as_built))
-        )
-        return Table(
-            (
-                *self._heads,
-                Column("causes of the CAD error"),
-                Column("with their size", detail=True),
+        columns = (
+            *self._list_columns(as_built),
+            Column(
+                "causes of the CAD error",
+                of=lambda k: describe_joint_effects(self, k, brief=True),
             ),
-            tuple(rows),
-            title=f"RMS torque and errors on {self.judged_by}",
+            Column("with their size", detail=True, of=lambda k: describe_joint_effects(self, k)),
         )
+        title = f"RMS torque and errors on {self.judged_by}"
+        return Table.of(range(len(self.joint_names)), columns, title)
 
     def share_table(self) -> Table:
         """Return the share of every effect in the squared CAD error, joint by joint."""
         parts = {effect_share.effect: effect_share.share for effect_share in self.shares}
         parts["unexplained"] = self.unexplained
-        rows = (
-            (*start, *(Shown(float(x[k]), percentage(float(x[k]), 0)) for x in parts.values()))
-            for k, start in enumerate(self._begin_rows(self.rms_chosen))
+        whole = partial(percentage, digits=0)
+        shares = (
+            Column(name.replace("_", " "), "", "right", whole, of=part.__getitem__)
+            for name, part in parts.items()
         )
-        heads = (Column(name.replace("_", " "), align="right") for name in parts)
-        return Table(
-            (*self._heads, *heads),
-            tuple(rows),
+        return Table.of(
+            range(len(self.joint_names)),
+            (*self._list_columns(self.rms_chosen), *shares),
             title="Shares of the effects in the squared CAD error",
             details=(
                 f"RMS on {self.judged_by}. Shares and the unexplained part of a joint add up to"
@@ -160,22 +158,19 @@ class Attribution:
             ),
         )
 
-    @property
-    def _heads(self) -> tuple[Column, ...]:
-        """The heads of joints, of their units if these differ, and of RMS values."""
+    def _list_columns(self, as_built: Array) -> list[Column]:
+        """Return the columns of joints, of their units if these differ, and of RMS values."""
         # One unit stands in the heads; several have a column.
         unit = self.units[0] if len(set(self.units)) == 1 else ""
-        rms = (Column(name, unit, "decimal") for name in ("torque", "CAD error", "as built"))
-        return (Column("joint", width=20), *([] if unit else [Column("unit")]), *rms)
-
-    def _begin_rows(self, as_built: Array) -> Iterator[tuple[Cell, ...]]:
-        """Yield the cells of each joint below these heads."""
-        alike = len(set(self.units)) == 1
-        for name, unit, *values in zip(
-            self.joint_names, self.units, self.torque, self.rms_cad, as_built, strict=True
-        ):
-            rms = (Shown(float(value), round_significant(float(value))) for value in values)
-            yield name, *([] if alike else [unit]), *rms
+        rms = {"torque": self.torque, "CAD error": self.rms_cad, "as built": as_built}
+        return [
+            Column("joint", width=20, of=self.joint_names.__getitem__),
+            *([] if unit else [Column("unit", of=self.units.__getitem__)]),
+            *(
+                Column(name, unit, "decimal", 3, of=values.__getitem__)
+                for name, values in rms.items()
+            ),
+        ]
 
     def as_text(self, full: bool = False) -> str:
         """Return sentences and a table for a terminal; `full` has all joints' sentences."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.dynamics import BaseParameters, DriveSet, DriveTerm
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
@@ -24,7 +26,7 @@ from asbuilt.tables import (
     round_beside,
 )
 from asbuilt.validation.comparison.significance import RESOLUTION
-from asbuilt.validation.comparison.torque_change import MATTERS
+from asbuilt.validation.comparison.torque_change import MATTERS, evaluate_torque_cost
 
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 
@@ -39,7 +41,9 @@ class ParameterTest:
     | `sigmas` | difference in standard errors |
     | `p_value` | probability of as large a difference by chance (Student) |
     | `false_discovery`, `holm` | the same for as many tests (Benjamini and Hochberg; Holm) |
-    | `torque_total` | RMS torque of the difference over all joints, on the validation motion |
+    | `torque` | RMS torque of the difference at every joint, on the validation motion |
+    | `torque_total` | the same over all joints |
+    | `torque_own` | part of it that no other parameter can make up for |
     | `matters` | whether the part that is its own is large compared with some joint's error |
     | `shared_with` | parameters that could make up for the rest, if only all of it is large |
     """
@@ -53,9 +57,19 @@ class ParameterTest:
     p_value: float | None = None
     false_discovery: float | None = None
     holm: float | None = None
+    torque: tuple[float, ...] | None = None
     torque_total: float | None = None
+    torque_own: float | None = None
     matters: bool | None = None
     shared_with: tuple[str, ...] = ()
+
+    @property
+    def felt_at(self) -> int | None:
+        """The joint, from 1, with most of the torque of the difference; None without any."""
+        return 1 + int(np.argmax(self.torque)) if self.torque and any(self.torque) else None
+
+
+Tested = TypeVar("Tested", bound=ParameterTest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,16 +79,12 @@ class ComparedParameter(ParameterTest):
     | attribute | meaning |
     |---|---|
     | `degrees_of_freedom` | of the standard error; None: many |
-    | `torque` | RMS torque of the difference at every joint, on the validation motion |
-    | `torque_own` | part of `torque_total` that no other parameter can make up for |
     """
 
     cad: float | None
     estimate: float
     std_error: float | None
     verdict: Verdict
-    torque: tuple[float, ...] | None = None
-    torque_own: float | None = None
     degrees_of_freedom: float | None = None
 
     @property
@@ -87,6 +97,51 @@ class ComparedParameter(ParameterTest):
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts, ready for JSON."""
         return dict(make_plain(self)) | {"interval": make_plain(self.interval)}
+
+
+TESTS = ("sigmas", "p_value", "false_discovery", "holm")
+"""Fields of a parameter in the order of `compare_each`."""
+
+
+def list_tests(
+    result: IdentificationResult, places: Sequence[int], difference: Array, tests: Array
+) -> list[dict[str, Any]]:
+    """Return the fields of `ParameterTest` of differences (m,) at places of a result's parameters.
+
+    `tests` (4, m) are those of `compare_each`. The torque of a difference, on the validation motion
+    of the result, is unknown without cause data, or if the difference is (NaN).
+    """
+    base = result.base
+    texts = describe_parameters(base)
+    fields: list[dict[str, Any]] = [
+        {
+            "id": int(base.ids[j]),
+            "name": base.names[j],
+            "expression": base.expressions[j],
+            "unit": base.units[j],
+            "words": texts[j],
+            **dict(zip(TESTS, make_plain(tests[:, k]), strict=True)),
+        }
+        for k, j in enumerate(places)
+    ]
+    if result.cause_data is None:
+        return fields
+    # Together: what one difference takes from the torque of another counts.
+    whole = np.zeros(result.n_base)
+    whole[list(places)] = difference
+    cost = evaluate_torque_cost(result.cause_data, base, whole)
+    left = result.cause_data.error_of(base.names, result.estimates)
+    alone = cost.noticed(left, alone=True)
+    for k in np.flatnonzero(np.isfinite(difference)):
+        j = places[k]
+        fields[k] |= {
+            "torque": tuple(cost.torque[j].tolist()),
+            "torque_total": float(cost.total[j]),
+            "torque_own": float(cost.own[j]),
+            "matters": bool(alone[j]),
+            "shared_with": cost.shared_with(j, left, base.names),
+        }
+    return fields
 
 
 def _show_std_error(parameter: ComparedParameter) -> Cell:
@@ -103,11 +158,19 @@ def _show_outcome(parameter: ComparedParameter) -> Cell:
     return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
 
 
-COLUMNS = (
+NAMES = (
     Column("id", align="right", of="id"),
     Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
     Column("description", detail=True, of="words"),
     Column("unit", of="unit"),
+)
+"""Columns that say which parameter a row is of."""
+FELT_AT = Column("joint", align="right", detail=True, of=lambda p: p.felt_at or "")
+RELEVANCE = Column(
+    "matters", detail=True, of=lambda p: describe_relevance(p.matters, p.shared_with)
+)
+COLUMNS = (
+    *NAMES,
     Column(
         "CAD",
         align="decimal",
@@ -130,13 +193,8 @@ TORQUE_COLUMNS = (
         # A change without torque has no part of its own.
         of=lambda p: p.torque_own / p.torque_total if p.torque_total else None,
     ),
-    Column(
-        "joint",
-        align="right",
-        detail=True,
-        of=lambda p: f"{1 + int(np.argmax(p.torque))}" if p.torque_total else "",
-    ),
-    Column("matters", detail=True, of=lambda p: describe_relevance(p.matters, p.shared_with)),
+    FELT_AT,
+    RELEVANCE,
 )
 """Further columns where the torque of differences is known."""
 
@@ -152,9 +210,7 @@ def tabulate_parameters(
     columns: tuple[Column, ...] = COLUMNS
     details = [errors] if errors else []
     if any(parameter.torque_total is not None for parameter in parameters):
-        unit = "N m" if set(units) <= {"N m"} else "N m, N"
-        torque = Column("torque", unit, "decimal", 3, of="torque_total")
-        columns = (*COLUMNS, torque, *TORQUE_COLUMNS)
+        columns = (*COLUMNS, make_torque_column(units), *TORQUE_COLUMNS)
         details.append(
             "torque: RMS over all joints of the torque of the difference on the validation motion;"
             " its own: the part that no other parameter can make up for; joint: the one with the"
@@ -184,6 +240,17 @@ def tabulate_parameters(
         details=tuple(details),
         important=tuple(most[:MOST_PARAMETERS]),
     )
+
+
+def make_torque_column(units: Sequence[str]) -> Column:
+    """Return the column of the torque of differences, for joints with these torque units."""
+    unit = "N m" if set(units) <= {"N m"} else "N m, N"
+    return Column("torque", unit, "decimal", 3, of="torque_total")
+
+
+def rank_by_torque(parameters: Sequence[Tested]) -> tuple[Tested, ...]:
+    """Return parameters, those whose difference has the most torque first."""
+    return tuple(sorted(parameters, key=lambda p: (-(p.torque_total or 0.0), p.id)))
 
 
 def describe_relevance(matters: bool | None, shared_with: Sequence[str]) -> str:

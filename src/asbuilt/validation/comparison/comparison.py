@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import PurePath
 from typing import Any
 
@@ -20,12 +20,13 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tole
 from asbuilt.validation.comparison.compared_parameter import (
     ComparedParameter,
     Verdict,
-    describe_parameters,
+    list_tests,
+    rank_by_torque,
     tabulate_parameters,
 )
 from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.significance import RESOLUTION, ChiSquare, compare_each
-from asbuilt.validation.comparison.torque_change import evaluate_torque_cost, tabulate_named_errors
+from asbuilt.validation.comparison.torque_change import tabulate_named_errors
 from asbuilt.validation.prediction import Validation, derive_cad_values, torque_units
 
 FALSE_DISCOVERY_RATE = 0.05
@@ -96,12 +97,7 @@ class Comparison:
     @property
     def ranked(self) -> tuple[ComparedParameter, ...]:
         """The parameters, those whose difference changes the torque most first."""
-        return tuple(
-            sorted(
-                self.parameters,
-                key=lambda parameter: (-(parameter.torque_total or 0.0), parameter.id),
-            )
-        )
+        return rank_by_torque(self.parameters)
 
     def relevance(self) -> str:
         """Return of how many differences the torque is their own; nothing if that is unknown."""
@@ -267,48 +263,27 @@ def compare(
     freedom = result.degrees_of_freedom
     difference = np.where(tested, result.estimates - values, np.nan)
     tests = compare_each(difference, result.std_errors, freedom, tested)
-    cause_data = result.cause_data
-    texts = describe_parameters(result.base)
-    if cause_data is not None:
-        cost = evaluate_torque_cost(cause_data, result.base, result.estimates - values)
-        left = cause_data.error_of(result.base.names, result.estimates)
+    # Without a CAD value there is no difference whose torque could matter.
+    fields = list_tests(result, range(result.n_base), result.estimates - values, tests)
     compared = []
-    for j, parameter in enumerate(result.parameters):
-        sigmas, p_value, false_discovery, familywise = make_plain(tests[:, j])
+    for j, (parameter, test) in enumerate(zip(result.parameters, fields, strict=True)):
         verdict: Verdict = "no CAD value" if determined[j] else "not determined"
         if tested[j]:
             # Significant and large: many samples make any difference significant.
             beyond = abs(difference[j]) > RESOLUTION * abs(values[j])
-            verdict = "differs" if false_discovery <= level and beyond else "agrees"
+            verdict = "differs" if test["false_discovery"] <= level and beyond else "agrees"
         elif parameter.dropped:
             verdict = "dropped"
-        found = ComparedParameter(
-            id=parameter.id,
-            name=parameter.name,
-            expression=parameter.expression,
-            unit=parameter.unit,
-            words=texts[j],
-            cad=make_plain(values[j]),
-            estimate=parameter.estimate,
-            std_error=make_plain(parameter.std_error) or None,
-            sigmas=sigmas,
-            p_value=p_value,
-            false_discovery=false_discovery,
-            holm=familywise,
-            verdict=verdict,
-            degrees_of_freedom=make_plain(freedom[j]) if tested[j] else None,
-        )
-        # Without a CAD value there is no difference whose torque could matter.
-        if cause_data is not None and found.cad is not None:
-            found = replace(
-                found,
-                torque=tuple(cost.torque[j].tolist()),
-                torque_total=float(cost.total[j]),
-                torque_own=float(cost.own[j]),
-                matters=bool(cost.noticed(left, alone=True)[j]),
-                shared_with=cost.shared_with(j, left, result.base.names),
+        compared.append(
+            ComparedParameter(
+                cad=make_plain(values[j]),
+                estimate=parameter.estimate,
+                std_error=make_plain(parameter.std_error) or None,
+                verdict=verdict,
+                degrees_of_freedom=make_plain(freedom[j]) if tested[j] else None,
+                **test,
             )
-        compared.append(found)
+        )
     held, needed, beyond = (
         (None, None, ())
         if tolerance is None or not tested.any()

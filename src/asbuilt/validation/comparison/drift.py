@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from asbuilt.codec import make_plain
 from asbuilt.errors import ResultError
 from asbuilt.findings import join_names
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
+from asbuilt.identification.result.summary import DROPPED, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
     Column,
@@ -27,9 +28,13 @@ from asbuilt.tables import (
 )
 from asbuilt.tables import format_share as percentage
 from asbuilt.validation.comparison.compared_parameter import (
+    FELT_AT,
+    NAMES,
+    RELEVANCE,
     ParameterTest,
-    describe_parameters,
-    describe_relevance,
+    list_tests,
+    make_torque_column,
+    rank_by_torque,
 )
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, put_on_equal_terms
@@ -38,7 +43,6 @@ from asbuilt.validation.comparison.torque_change import (
     JointChange,
     derive_joint_changes,
     describe_torque_changes,
-    evaluate_torque_cost,
     tabulate_joint_changes,
 )
 from asbuilt.validation.prediction import derive_cad_values, torque_units
@@ -53,7 +57,6 @@ class ParameterChange(ParameterTest):
 
     | attribute | meaning |
     |---|---|
-    | `felt_at` | the joint with most of the torque of the change |
     | `changed` | whether it changed significantly |
     | `dropped` | whether a result set it to zero, without an error; it is not tested |
     """
@@ -62,7 +65,6 @@ class ParameterChange(ParameterTest):
     before_error: float
     after: float
     after_error: float
-    felt_at: int | None = None
     changed: bool
     dropped: bool = False
 
@@ -110,7 +112,7 @@ def describe_dropped(dropped: Mask) -> tuple[str, ...]:
 
 def describe_friction_changes(
     result: IdentificationResult,
-    changes: tuple[ParameterChange, ...],
+    changes: Sequence[ParameterChange],
     models: tuple[str, ...] | None,
 ) -> tuple[str, ...]:
     """Return how the drive terms of every joint changed."""
@@ -152,8 +154,6 @@ def _describe_change(change: ParameterChange, models: tuple[str, ...] | None) ->
 
 
 MOST_SENTENCES = 4
-TESTS = ("sigmas", "p_value", "false_discovery", "holm")
-"""Fields of a parameter in the order of `compare_each`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -192,18 +192,20 @@ class Drift:
         return sum(parameter.changed for parameter in self.parameters)
 
     @property
+    def n_compared(self) -> int:
+        """Number of parameters that both determine with an error."""
+        return sum(parameter.sigmas is not None for parameter in self.parameters)
+
+    @property
     def ranked(self) -> tuple[ParameterChange, ...]:
         """The parameters, those whose change has the most torque first."""
-        return tuple(
-            sorted(self.parameters, key=lambda change: (-(change.torque_total or 0.0), change.id))
-        )
+        return rank_by_torque(self.parameters)
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
-        compared = sum(parameter.sigmas is not None for parameter in self.parameters)
         return (
-            f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate"
-            f" {percentage(self.level, 0)}); all at once: {self.chi_square.text}."
+            f"{self.n_changed} of {self.n_compared} parameters {self._changed} (false discovery"
+            f" rate {percentage(self.level, 0)}); all at once: {self.chi_square.text}."
         )
 
     @property
@@ -221,10 +223,7 @@ class Drift:
         names = (self.before, self.after) if self.of_models else ("before", "after")
         change, which = ("difference", "second") if self.of_models else ("change", "later")
         columns = (
-            Column("id", align="right", of="id"),
-            Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
-            Column("description", detail=True, of="words"),
-            Column("unit", of="unit"),
+            *NAMES,
             Column(
                 names[0],
                 align="decimal",
@@ -243,19 +242,9 @@ class Drift:
                 of=lambda change: format_estimate(change.after, change.error)[1],
             ),
             Column(change, align="right", of=self._show_outcome),
-            Column(
-                "torque",
-                "N m" if {*self.units} <= {"N m"} else "N m, N",
-                "decimal",
-                3,
-                of="torque_total",
-            ),
-            Column("joint", align="right", detail=True, of=lambda change: change.felt_at or ""),
-            Column(
-                "matters",
-                detail=True,
-                of=lambda change: describe_relevance(change.matters, change.shared_with),
-            ),
+            make_torque_column(self.units),
+            FELT_AT,
+            RELEVANCE,
         )
         note = (
             f"std err: of the {change}; torque: RMS over all joints on the validation motion of the"
@@ -325,7 +314,7 @@ class Drift:
             "sentences": list(self.sentences),
             "torque": [asdict(joint) for joint in self.joints],
             "parameters": [
-                asdict(change) | {"shared_with": list(change.shared_with)} for change in self.ranked
+                dict(make_plain(change)) | {"felt_at": change.felt_at} for change in self.ranked
             ],
         }
 
@@ -382,54 +371,36 @@ def compare_results(
         if of_models
         else put_on_equal_terms(before, after)
     )
-    difference = second.estimates[two] - first.estimates[one]
-    between = Between(first, second, one, two)
+    first = first.at(one)
+    second = second.at(two)
+    between = Between(first, second)
+    difference = between.difference
     error = between.std_errors
-    dropped = first.dropped[one] | second.dropped[two]
-    determined = first.determined[one] & second.determined[two]
-    tested = determined & ~dropped & (error > 0)
+    dropped = first.dropped | second.dropped
+    tested = first.determined & second.determined & ~dropped & (error > 0)
     tests = compare_each(difference, error, between.degrees_of_freedom, tested)
     changed = tests[2] <= level
-    felt: list[dict[str, Any]] = [{} for _ in names]
     joints: tuple[JointChange, ...] = ()
     if after.cause_data is not None:
-        # The change in all parameters, as the later result has them.
-        whole = np.zeros(after.n_base)
-        whole[two] = difference
-        cost = evaluate_torque_cost(after.cause_data, after.base, whole)
-        left = after.cause_data.error_of(after.base.names, after.estimates)
         joints = derive_joint_changes(
             after, names, difference, between.covariance, between.mean_degrees
         )
-        own = cost.noticed(left, alone=True)
-        felt = [
-            {
-                "torque_total": float(cost.total[j]),
-                "felt_at": 1 + int(np.argmax(cost.torque[j])) if cost.torque[j].any() else None,
-                "matters": bool(differs and own[j]),
-                "shared_with": cost.shared_with(j, left, after.base.names) if differs else (),
-            }
-            for j, differs in zip(two, changed, strict=True)
-        ]
-    texts = describe_parameters(after.base)
-    changes = tuple(
-        ParameterChange(
-            id=int(after.base.ids[j]),
-            name=name,
-            expression=after.base.expressions[j],
-            unit=after.base.units[j],
-            words=texts[j],
-            before=float(first.estimates[i]),
-            before_error=float(first.std_errors[i]),
-            after=float(second.estimates[j]),
-            after_error=float(second.std_errors[j]),
-            changed=bool(changed[place]),
-            dropped=bool(dropped[place]),
-            **dict(zip(TESTS, make_plain(tests[:, place]), strict=True)),
-            **felt[place],
+    changes = []
+    for k, test in enumerate(list_tests(after, two, difference, tests)):
+        # What may be no change at all neither matters nor is shared.
+        if not changed[k] and "matters" in test:
+            test |= {"matters": False, "shared_with": ()}
+        changes.append(
+            ParameterChange(
+                before=float(first.estimates[k]),
+                before_error=float(first.std_errors[k]),
+                after=float(second.estimates[k]),
+                after_error=float(second.std_errors[k]),
+                changed=bool(changed[k]),
+                dropped=bool(dropped[k]),
+                **test,
+            )
         )
-        for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
-    )
     titles = labels or tuple(
         ", ".join(recording_name(source) for source in result.sources) for result in (before, after)
     )
@@ -439,7 +410,7 @@ def compare_results(
         after=titles[1],
         joint_names=after.joint_names,
         units=torque_units(after.model),
-        parameters=changes,
+        parameters=tuple(changes),
         chi_square=between.test(tested),
         level=level,
         sentences=(

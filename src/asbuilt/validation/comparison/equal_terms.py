@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,31 +118,72 @@ class ComparedValues:
     @property
     def variances(self) -> Array:
         """Variances as estimated, not widened for few degrees of freedom, shape (p,)."""
-        return np.asarray((self.std_errors / widening(self.degrees_of_freedom)) ** 2)
+        return np.asarray((self.std_errors / self._wide) ** 2)
+
+    @property
+    def narrow_covariance(self) -> Array:
+        """Covariance (p, p), not widened."""
+        return np.asarray(self.covariance / np.outer(self._wide, self._wide))
+
+    @property
+    def bias(self) -> Array:
+        """The bias by effects that the model lacks, as far as errors include it, shape (p,)."""
+        if self.scatter is None or self.scatter.bias is None:
+            return np.zeros(len(self.estimates))
+        return self.scatter.bias
+
+    @property
+    def narrow_bias(self) -> Array:
+        """The bias, not widened, shape (p,)."""
+        return np.asarray(self.bias / self._wide)
+
+    @property
+    def _wide(self) -> Array:
+        return widening(self.degrees_of_freedom)
+
+    def at(self, places: Sequence[int]) -> ComparedValues:
+        """Return the values at some places."""
+        chosen = np.asarray(places, dtype=np.int64)
+        scatter = self.scatter
+        if scatter is not None:
+            scatter = BlockScatter(
+                scatter.moves[:, chosen],
+                scatter.degrees_alone[chosen],
+                scatter.common_variance,
+                None if scatter.bias is None else scatter.bias[chosen],
+            )
+        return ComparedValues(
+            self.estimates[chosen],
+            self.covariance[np.ix_(chosen, chosen)],
+            self.std_errors[chosen],
+            self.textbook_std_errors[chosen],
+            self.determined[chosen],
+            self.dropped[chosen],
+            scatter,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Between:
-    """Hold the difference of two independent sets of values, at the places `one` and `two`.
+    """Hold the difference of two independent sets of values of the same p parameters.
 
     A bias by effects that the model lacks is not independent: both have it, and the difference has
     the difference of both.
     """
 
-    # One factor for all keeps sums of parameters undistorted.
     first: ComparedValues
     second: ComparedValues
-    one: list[int]
-    two: list[int]
+
+    @property
+    def difference(self) -> Array:
+        """Second values minus first ones, shape (p,)."""
+        return self.second.estimates - self.first.estimates
 
     @property
     def degrees_of_freedom(self) -> Array:
         """Of the variances of the difference, shape (p,)."""
         return sum_degrees(
-            *(
-                (values.variances[places], values.degrees_of_freedom[places])
-                for values, places in ((self.first, self.one), (self.second, self.two))
-            )
+            *((side.variances, side.degrees_of_freedom) for side in (self.first, self.second))
         )
 
     @property
@@ -157,82 +199,43 @@ class Between:
     @property
     def covariance(self) -> Array:
         """Covariance (p, p), not widened; a bias that both share is no error of the difference."""
-        wide, other = (
-            widening(values.degrees_of_freedom[places])
-            for values, places in ((self.first, self.one), (self.second, self.two))
-        )
-        together = self._sum(
-            self.first.covariance,
-            self.second.covariance,
-            np.outer(wide, wide),
-            np.outer(other, other),
-        )
-        shared = self._narrow(np.outer(*self._biases))
+        shared = np.outer(self.first.narrow_bias, self.second.narrow_bias)
         # b_1 b_2^T + b_2 b_1^T: what both have in common is no error of their difference.
+        together = self.first.narrow_covariance + self.second.narrow_covariance
         return np.asarray(together - shared - shared.T)
 
     def test(self, tested: Mask) -> ChiSquare:
         """Test the difference of all tested parameters at once."""
         chosen = np.flatnonzero(tested)
-        d = (self.second.estimates[self.two] - self.first.estimates[self.one])[chosen]
-        chosen_places = np.ix_(chosen, chosen)
-        if self.first.scatter is None or self.second.scatter is None:
-            together = self._sum(self.first.even_covariance, self.second.even_covariance)
-            return chi_square(d, together[chosen_places])
-        textbook = self._sum(self.first.textbook_covariance, self.second.textbook_covariance)
+        square = np.ix_(chosen, chosen)
+        first = self.first
+        second = self.second
+        d = self.difference[chosen]
+        if first.scatter is None or second.scatter is None:
+            return chi_square(d, (first.even_covariance + second.even_covariance)[square])
         moves = [
-            self.first.scatter.without_bias[:, self.one],
-            self.second.scatter.without_bias[:, self.two],
+            first.scatter.without_bias,
+            second.scatter.without_bias,
             # The difference has the difference of both biases.
-            np.subtract(*self._biases)[None],
+            (first.bias - second.bias)[None],
         ]
         alone = sum_degrees(
-            (self.first.variances[self.one], self.first.scatter.degrees_alone[self.one]),
-            (self.second.variances[self.two], self.second.scatter.degrees_alone[self.two]),
+            (first.variances, first.scatter.degrees_alone),
+            (second.variances, second.scatter.degrees_alone),
         )
-        first = self.first.variances[self.one][chosen]
-        part = float(np.mean(first / self._variances[chosen])) if len(chosen) else 0.0
+        # Shares of both in the variance decide what is common.
+        share = float(np.mean((first.variances / self._variances)[chosen])) if len(chosen) else 0.0
         common = (
-            part**2 * self.first.scatter.common_variance
-            + (1.0 - part) ** 2 * self.second.scatter.common_variance
+            share**2 * first.scatter.common_variance
+            + (1.0 - share) ** 2 * second.scatter.common_variance
         )
-        return joint_test(
-            d, textbook[chosen_places], np.vstack(moves)[:, chosen], alone[chosen], common
-        )
+        textbook = first.textbook_covariance + second.textbook_covariance
+        return joint_test(d, textbook[square], np.vstack(moves)[:, chosen], alone[chosen], common)
 
-    # Shares of both in the variance decide what is common.
     @property
     def _variances(self) -> Array:
-        first, second = self._biases
-        together = self.first.variances[self.one] + self.second.variances[self.two]
-        return np.asarray(together - 2.0 * self._narrow(first * second))
-
-    @property
-    def _biases(self) -> tuple[Array, Array]:
-        """Return the biases of both that are in their errors, (p,) each."""
-        first, second = (
-            np.zeros(len(places))
-            if values.scatter is None or values.scatter.bias is None
-            else values.scatter.bias[places]
-            for values, places in ((self.first, self.one), (self.second, self.two))
-        )
-        return first, second
-
-    def _narrow(self, products: Array) -> Array:
-        """Return products of both sets of values without the widening of both errors."""
-        one, two = (
-            widening(values.degrees_of_freedom[places])
-            for values, places in ((self.first, self.one), (self.second, self.two))
-        )
-        return np.asarray(products / (np.outer(one, two) if products.ndim == 2 else one * two))
-
-    def _sum(
-        self, first: Array, second: Array, wide: Array | float = 1.0, other: Array | float = 1.0
-    ) -> Array:
-        """Return the sum of matrices of both sets of values, each without its widening."""
-        one = first[np.ix_(self.one, self.one)]
-        two = second[np.ix_(self.two, self.two)]
-        return np.asarray(one / wide + two / other)
+        together = self.first.variances + self.second.variances
+        return np.asarray(together - 2.0 * self.first.narrow_bias * self.second.narrow_bias)
 
 
 def select_tested_values(result: IdentificationResult) -> ComparedValues:

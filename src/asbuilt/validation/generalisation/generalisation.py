@@ -159,6 +159,7 @@ def _report_generalisation(
     built = validation.metrics_as_built
     cad = validation.metrics_cad
     source = recording_name(built.source)
+    shares = measure_error_shares(built)
     rest = divide_resting_errors(validation)
     # Static friction at rest is another finding, and no overfitting.
     error = np.where(rest.dominant, rest.moving, built.rms)
@@ -186,7 +187,7 @@ def _report_generalisation(
             f" training{whose} at {listed(worse, error, train)}{_word_times(validation, worse)}",
             Cure("record longer and more varied motion, or use fewer drive terms"),
             joint=built.joint_names[worse[0]] if len(worse) == 1 else None,
-            torque=_measure_error_share(built, worse),
+            torque=float(shares[worse].sum()),
         )
     behind = np.flatnonzero(built.rms > GENERALISATION_BEHIND_CAD * cad.rms)
     # Without masses CAD predicts nothing that could be better.
@@ -196,13 +197,15 @@ def _report_generalisation(
             "warning",
             f"CAD predicts {source} better than the fit at {listed(behind, built.rms, cad)}",
             Cure("record longer, or regularise toward CAD", {"method": "ridge"}),
-            torque=_measure_error_share(built, behind),
+            torque=float(shares[behind].sum()),
         )
 
 
-def _measure_error_share(metrics: TorqueMetrics, joints: Indices) -> float:
-    """Return the share of the squared torque error at some joints."""
-    return float(np.sum(metrics.rms[joints] ** 2) / np.nansum(metrics.rms**2))
+def measure_error_shares(metrics: TorqueMetrics) -> Array:
+    """Return the share of the squared torque error at each joint (n,), zero without a channel."""
+    # Exact torques have no error to share.
+    energy = np.nan_to_num(metrics.rms**2)
+    return np.asarray(energy / max(float(energy.sum()), np.finfo(np.float64).tiny))
 
 
 def _word_times(validation: Validation, joints: Indices) -> str:

@@ -80,12 +80,16 @@ def review_gains(
     together = {claim.joint for claim in claims if claim.what == TOGETHER}
     for k, joint in enumerate(model.joints):
         if joint.drive.kp is not None:
-            found.append(_claim_stiffness(result, k, joint.name, joint.drive.kp))
+            unit = f"{joint.torque_unit}/{joint.unit}"
+            claim = Claim("kp", joint.name, unit, joint.drive.kp)
+            found.append(_judge_stiffness(result, k, claim))
         # Where only the sum acts it has been tested as damping + kv.
         if joint.drive.kd and joint.name not in together:
-            found.append(_claim_damping(result, k, joint.name, joint.drive.kd))
+            unit = f"{joint.torque_unit} s/{joint.unit}"
+            claim = Claim("kv", joint.name, unit, joint.drive.kd)
+            found.append(_judge_damping(result, k, claim))
         if np.isfinite(joint.limits.torque) and peaks is not None:
-            limit = Claim("forcerange", joint.name, "N m", joint.limits.torque)
+            limit = Claim("forcerange", joint.name, joint.torque_unit, joint.limits.torque)
             found.append(_test_torque_limit(limit, k, float(peaks[k]), motions))
     return found
 
@@ -101,8 +105,7 @@ def list_gain_aliases(result: IdentificationResult, what: str, joint: str) -> tu
     return (*stiffness, *damping)
 
 
-def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
-    claim = Claim("kp", joint, "N m/rad", claimed)
+def _judge_stiffness(result: IdentificationResult, k: int, claim: Claim) -> Claim:
     errors = result.servo_errors
     servo = result.servo
     if errors is None or servo is None:
@@ -111,13 +114,14 @@ def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: 
         return replace(claim, note=f"given as {servo.kp[k]:.6g}, not tested")
     estimate = servo.kp[k]
     error = errors.kp[k]
-    all_torques = f"scale of all torques of {joint}"
+    all_torques = f"scale of all torques of {claim.joint}"
     # An undetermined stiffness leaves ratios alone.
     if not error < UNDETERMINED * estimate:
         return replace(
             claim, alias_of=(all_torques,), note="only ratios of other numbers to it are determined"
         )
-    p = float(student_probability(np.array([(estimate - claimed) / error]), np.array([np.inf]))[0])
+    sigmas = (estimate - claim.claimed) / error
+    p = float(student_probability(np.array([sigmas]), np.array([np.inf]))[0])
     return replace(
         claim,
         estimate=estimate,
@@ -129,11 +133,10 @@ def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: 
     )
 
 
-def _claim_damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
-    claim = Claim("kv", joint, "N m s/rad", claimed)
+def _judge_damping(result: IdentificationResult, k: int, claim: Claim) -> Claim:
     errors = result.servo_errors
     if errors is not None and errors.kd_unknown[k]:
-        return replace(claim, alias_of=(f"damping of {joint}",))
+        return replace(claim, alias_of=(f"damping of {claim.joint}",))
     return replace(claim, note=OF_NO_SERVO if errors is None else "given, not tested")
 
 
@@ -151,7 +154,7 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
     # Too few samples beyond the limit, or so many that the fit rests on them.
     if np.count_nonzero(beyond) < FEWEST or np.mean(~within) > MOST:
         reached = "beyond the claim" if peak > claim.claimed else "below it"
-        asks = f"largest torque that the command asks for: {peak:.3g} N m, {reached}"
+        asks = f"largest torque that the command asks for: {peak:.3g} {claim.unit}, {reached}"
         return replace(claim, note=asks)
     # Within the limit both torques are the same, but for errors.
     error = float(np.sqrt(np.mean((asked - moved)[within] ** 2)))
@@ -174,7 +177,10 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
         else "supported"
         if held
         else "undetermined",
-        note=f"the motion has {moves:.3g} N m where the command asks for {wanted:.3g} N m",
+        note=(
+            f"the motion has {moves:.3g} {claim.unit} where the command asks for {wanted:.3g}"
+            f" {claim.unit}"
+        ),
     )
 
 

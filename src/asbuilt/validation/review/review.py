@@ -19,7 +19,7 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, compare
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import RESOLUTION, benjamini_hochberg
-from asbuilt.validation.prediction import LETTERS, Validation
+from asbuilt.validation.prediction import Validation, choose_letter
 from asbuilt.validation.review.claimed_numbers import (
     Claim,
     ClaimedNumber,
@@ -100,7 +100,7 @@ class Review:
     @property
     def letter(self) -> str | None:
         """The letter of the description, which was not fitted to the recordings, by `LETTERS`."""
-        return LETTERS.letter(self.error) if np.isfinite(self.error) else None
+        return choose_letter(self.error) if np.isfinite(self.error) else None
 
     @cached_property
     def contradicted_sums(self) -> tuple[int, int]:

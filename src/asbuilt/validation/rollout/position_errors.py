@@ -15,7 +15,7 @@ from asbuilt.description.structure.parts import Joint
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.experiment.root import root_of
-from asbuilt.identification.calibration.delay import RULES
+from asbuilt.identification.calibration.delay import FARTHEST
 from asbuilt.identification.calibration.payload import choose_payload_frame
 
 if TYPE_CHECKING:
@@ -365,7 +365,7 @@ def delay_command(windows: Windows) -> Array | None:
 
     found = minimize_scalar(
         lambda delay: float(np.mean((delayed(delay) - windows.q)[:, 1:] ** 2)),
-        bounds=(0.0, RULES.farthest),
+        bounds=(0.0, FARTHEST),
         method="bounded",
     )
     return delayed(float(found.x))

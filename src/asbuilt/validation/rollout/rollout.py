@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -341,14 +342,14 @@ def _report_outlying(rollout: Rollout, length: str) -> Iterator[Finding]:
         "warning",
         f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
         f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
-        f" {join_names(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
-        f" mrad instead of {_format_size(rollout.as_built)}",
+        f" {join_names(places, 4)}. Without them it is {rollout.regular.text}"
+        f" instead of {_format_size(rollout.as_built)}",
         Cure("look at these times; exclude contact from the recording"),
     )
 
 
 def _format_size(errors: RolloutErrors) -> str:
-    return "one that diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} mrad"
+    return "one that diverges" if errors.diverged else errors.text
 
 
 def _name_model(name: str) -> str:
@@ -358,34 +359,23 @@ def _name_model(name: str) -> str:
 def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
     unit = joint_unit(model.joints)
-    cad = rollout.cad
-    built = rollout.as_built
-    errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
-    ends = {"end, as built": built, "end, CAD": cad}
-    values = {
-        **{
-            name: None if errors_of is None else errors_of.rms for name, errors_of in errors.items()
-        },
-        **{
-            name: None if errors_of is None else errors_of.final for name, errors_of in ends.items()
-        },
-    }
-    rows = tuple(
-        (
-            name,
-            *(
-                None if joint_errors is None else format_in_milli(float(joint_errors[k]))
-                for joint_errors in values.values()
-            ),
-        )
-        for k, name in enumerate(model.joint_names)
-    )
+    simulated = {"as built": rollout.as_built, "CAD": rollout.cad}
+    compared = simulated | {"command": rollout.no_physics, "repeat": rollout.floor}
+    values = {name: errors.rms for name, errors in compared.items() if errors is not None}
+    ends = {f"end, {name}": errors.final for name, errors in simulated.items() if errors}
     columns = (
-        Column("joint", width=20),
-        *(Column(name, unit, "decimal", detail=name in ends) for name in values),
+        Column("joint", width=20, of=model.joint_names.__getitem__),
+        *(
+            Column(name, unit, "decimal", detail=name in ends, of=partial(_show_joint, joints))
+            for name, joints in (values | ends).items()
+        ),
     )
     title = f"Position error of rollouts of {rollout.horizon:g} s, held out"
-    return Table(columns, rows, title).filled()
+    return Table.of(range(model.n_joints), columns, title)
+
+
+def _show_joint(errors: Array, k: int) -> Cell:
+    return format_in_milli(float(errors[k]))
 
 
 def format_in_milli(value: float | None) -> Cell:

@@ -27,7 +27,6 @@ from asbuilt.validation.verdicts.model_errors import (
 )
 from asbuilt.validation.verdicts.reasons import (
     OF_MOTION,
-    RULES,
     JointUse,
     Reason,
     Use,
@@ -45,6 +44,8 @@ OPENING: dict[Use, str] = {
 }
 ANOTHER_MOTION = "record another motion"
 """What an untested model needs."""
+NAMED = 2
+"""Reasons that the sentence names."""
 FINE = 0.01
 """Share of the torque below which an error is shown with two decimals."""
 
@@ -124,7 +125,6 @@ def study_verdict(
     # Commands are measured by the motion that follows from them.
     simulated = choose_decisive_rollout(rollouts) if result.decided_by_motion else None
     untested = is_untested(result, findings, validations, simulated)
-    measure: Measure = "torque" if simulated is None else "rollout"
     joints: tuple[JointUse, ...] = ()
     if simulated is None:
         error = find_worst_torque_error(result, validations)
@@ -132,7 +132,7 @@ def study_verdict(
     else:
         error = summarise_rollout_error(simulated)
     reasons = list_reasons_against(
-        result, findings, validations, simulated, error, measure, joints, untested=untested
+        result, findings, validations, simulated, error, joints, untested=untested
     )
     of_bodies = list_reasons_against_bodies(result)
     use = _decide_use(reasons, of_bodies, untested=untested)
@@ -144,7 +144,7 @@ def study_verdict(
         _write_verdict(use, reasons, bodies, outcome, _word_mass(result)),
         # The error of what was fitted is no promise, so an untested model has none.
         ModelErrors(None, None, error.cad) if untested else error,
-        measure,
+        "torque" if simulated is None else "rollout",
         tuple(dict.fromkeys(reason.code for reason in (*reasons, *of_bodies))),
         joints,
         bodies,
@@ -188,7 +188,7 @@ def _choose_named(reasons: Sequence[Reason]) -> list[str]:
 
     The sentence has a number, which other motion may not keep: if so it says so.
     """
-    texts = list(dict.fromkeys(reason.text for reason in reasons))[: RULES.named]
+    texts = list(dict.fromkeys(reason.text for reason in reasons))[:NAMED]
     of_motion = [reason.text for reason in reasons if reason.code in OF_MOTION]
     if of_motion and not {*texts} & {*of_motion}:
         texts[-1] = of_motion[0]

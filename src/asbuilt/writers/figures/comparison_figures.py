@@ -144,7 +144,7 @@ def draw_differences(comparison: Comparison) -> Figure:
         axis.barh(place, total, height=0.7, color=colours, alpha=0.35)
         axis.barh(place, own, height=0.7, color=colours)
         for k, each in enumerate(shown):
-            felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
+            felt = "" if each.felt_at is None else f"joint {each.felt_at}"
             shared = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else ""
             remark = shared or ("" if each.matters else ", small")
             axis.text(

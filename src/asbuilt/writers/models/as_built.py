@@ -24,7 +24,7 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.bodies.cad_prior import find_non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
-from asbuilt.writers.models.control import with_identified_gains
+from asbuilt.writers.models.control import with_gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +59,7 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
 def build_robot(result: IdentificationResult, found: StandardParameters) -> RobotModel:
     """Return the robot of a result with other standard parameters."""
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
-    return with_identified_gains(robot, result)
+    return with_gains(robot, result.servo)
 
 
 FEASIBLE_NOTE = "of these masses and armatures"

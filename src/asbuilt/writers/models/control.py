@@ -13,11 +13,6 @@ from asbuilt.dynamics import PositionServo
 from asbuilt.identification import IdentificationResult
 
 
-def with_identified_gains(robot: RobotModel, result: IdentificationResult) -> RobotModel:
-    """Return the robot with the gains and torque limits of a result, if it has some."""
-    return with_gains(robot, result.servo)
-
-
 def with_gains(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
     """Return the robot with the gains and torque limits of a servo, if there is one."""
     if servo is None:
@@ -34,19 +29,6 @@ def with_gains(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
         )
     )
     return replace(robot, joints=joints)
-
-
-def describe_delay(servo: PositionServo | None) -> str:
-    """Return the delay of a servo, for the end of a note."""
-    return "" if servo is None else f"; delay of the servo {servo.delay!r} s"
-
-
-def delay_of(result: IdentificationResult) -> float:
-    """Return the delay of the servo [s], zero where it is below: no simulator has commands early.
-
-    `note_left_out_servo` says so.
-    """
-    return 0.0 if result.servo is None else max(result.servo.delay or 0.0, 0.0)
 
 
 def add_position_actuator(actuator: Element, element: Element, joint: Joint) -> None:
@@ -107,22 +89,3 @@ def note_left_out_servo(
         " the limits of a joint at rest": not falling and np.any(servo.falling),
     }
     return tuple(f"{kind} has no place for {what}" for what, lost in losses.items() if lost)
-
-
-def note_control(
-    result: IdentificationResult,
-    kind: str,
-    *,
-    delay: bool = False,
-    falling: bool = False,
-    missing: bool = False,
-) -> tuple[str, ...]:
-    """Return notes on what a simulator's format lacks of the servo of a result.
-
-    `missing` says whether it needs gains and the robot has none; others as `note_left_out_servo`.
-    """
-    none = "no position servo was identified: gains are zero, and commands are torques"
-    return (
-        *note_left_out_servo(result.servo, kind, delay=delay, falling=falling),
-        *((none,) if missing else ()),
-    )

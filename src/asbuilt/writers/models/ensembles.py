@@ -22,7 +22,7 @@ from asbuilt.writers.models.as_built import (
     keep_described_drives,
     with_standard_parameters,
 )
-from asbuilt.writers.models.control import describe_delay, note_missing_gains, with_gains
+from asbuilt.writers.models.control import note_missing_gains, with_gains
 from asbuilt.writers.models.export import find_urdf_to_edit, note_held_base
 from asbuilt.writers.models.mjcf import note_mjcf_limits, write_mjcf
 from asbuilt.writers.models.urdf import write_urdf
@@ -94,7 +94,7 @@ def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
     drive = ensemble.result.base.drive
     links = [{"link": name} for name in model.link_names for _ in PARAMETER_NAMES]
     joints = [{"joint": name} for name in model.joint_names for _ in range(drive.columns_per_joint)]
-    return [*links, *joints, *({"joint": name} for name in ensemble.gains.list_joints(model))]
+    return [*links, *joints, *({"joint": name} for name in ensemble.gains.joints)]
 
 
 def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
@@ -107,7 +107,8 @@ def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
     # What was not drawn is as described.
     kept, _ = keep_described_drives(with_gains(robot, law), result.model)
     note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters"
-    note += describe_delay(law)
+    if law is not None:
+        note += f"; delay of the servo {law.delay!r} s"
     return replace(kept, notes=(*result.model.notes, note))
 
 

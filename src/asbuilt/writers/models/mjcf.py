@@ -27,7 +27,6 @@ from asbuilt.dynamics.drives.term import FUNCTIONS
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import EncoderPair, IdentificationResult
-from asbuilt.writers.models.base_joints import release_base
 from asbuilt.writers.models.control import add_position_actuator
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
@@ -35,6 +34,7 @@ from asbuilt.writers.models.physical import (
     note_left_out_drives,
     refuse_inconsistent,
 )
+from asbuilt.writers.models.xml_spans import comment_text
 from asbuilt.writing import atomic_write
 
 STIFF_FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
@@ -101,10 +101,9 @@ def export_mjcf(model: RobotModel) -> str:
     if any(joint.drive.kp is not None for joint in plain.joints):
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
-    release_base(root, model)
+    _release_base(root, model)
     for place, note in enumerate((*model.notes, *note_mjcf_limits(model))):
-        # Comments of XML must not hold two hyphens, nor end in one.
-        root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
+        root.insert(place, Comment(comment_text(note)))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
@@ -136,6 +135,30 @@ def _add_motors(root: Element, model: RobotModel) -> None:
     # Tendons come before actuators, which may name them.
     if len(tendons) and not written:
         root.insert(list(root).index(next(root.iter("actuator"))), tendons)
+
+
+def _release_base(root: Element, model: RobotModel) -> None:
+    """Take the actuators of the base's joints out, and make one free joint of six of them."""
+    if not model.n_floating:
+        return
+    names = set(model.joint_names[: model.n_floating])
+    for actuators in root.iter("actuator"):
+        for actuator in [actuator for actuator in actuators if actuator.get("joint") in names]:
+            actuators.remove(actuator)
+    # A planar base keeps its three joints.
+    if model.n_floating != 6:
+        return
+    bodies = {body.get("name"): body for body in root.iter("body")}
+    first, base = (bodies[model.link_names[k]] for k in (0, model.n_floating - 1))
+    world = next(element for element in root.iter("worldbody"))
+    for joint in base.findall("joint"):
+        base.remove(joint)
+    # The pose of a free body is its state.
+    for placed in ("pos", "quat"):
+        base.attrib.pop(placed, None)
+    base.insert(0, Element("freejoint", name="base"))
+    world.insert(list(world).index(first), base)
+    world.remove(first)
 
 
 def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:

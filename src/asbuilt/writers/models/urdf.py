@@ -22,9 +22,9 @@ from asbuilt.description.rotation import (
 from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure, join_names
-from asbuilt.writers.models.base_joints import drop_base_joints
 from asbuilt.writers.models.physical import convert_to_plain_friction, refuse_inconsistent
 from asbuilt.writers.models.urdf_edit import TENSOR, edit_urdf, note_urdf_limits
+from asbuilt.writers.models.xml_spans import comment_text
 from asbuilt.writing import atomic_write
 
 PROPORTIONAL = 1e-9
@@ -56,11 +56,7 @@ def format_urdf(model: RobotModel) -> str:
     refuse_inconsistent(model)
     model = _adapt_to_urdf(model)
     root = Element("robot", name=model.name)
-    root.extend(
-        # XML forbids two hyphens in comments, and one at their end.
-        Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} ")
-        for note in (*model.notes, *note_urdf_limits(model))
-    )
+    root.extend(Comment(comment_text(note)) for note in (*model.notes, *note_urdf_limits(model)))
     # Names of added frames must not meet those of the robot.
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
@@ -84,9 +80,30 @@ def format_urdf(model: RobotModel) -> str:
     for frame in model.frames:
         parent, carried = carriers[frame.link]
         _add_fixed_link(root, frame.name, parent, compose_placements(carried, frame.placement))
-    drop_base_joints(root, model)
+    _drop_base_joints(root, model)
     indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def _drop_base_joints(root: Element, model: RobotModel) -> None:
+    """Take the joints of a free base out, with the links between, so that it is the root link."""
+    if not model.n_floating:
+        return
+    # The base's own link is the last of the chain: it stays, as the root.
+    count = model.n_floating
+    links = {model.root_link, *model.link_names[: count - 1]}
+    # Frames marked on links that go would hang in the air.
+    gone = {f"{name}_frame" for name in links}
+    for element in [*root.findall("link"), *root.findall("joint")]:
+        child = element.find("child")
+        below = "" if child is None else child.get("link", "")
+        base_joint = element.tag == "joint" and element.get("name") in model.joint_names[:count]
+        if (
+            base_joint
+            or below in gone
+            or (element.tag == "link" and element.get("name") in links | gone)
+        ):
+            root.remove(element)
 
 
 def _adapt_to_urdf(model: RobotModel) -> RobotModel:

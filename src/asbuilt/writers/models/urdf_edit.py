@@ -22,7 +22,13 @@ from asbuilt.writers.models.physical import (
     note_left_out_drives,
     refuse_inconsistent,
 )
-from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, list_attribute_edits
+from asbuilt.writers.models.xml_spans import (
+    Edit,
+    Span,
+    XmlFile,
+    comment_text,
+    list_attribute_edits,
+)
 
 TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
@@ -103,9 +109,7 @@ def edit_urdf(
                 edits += _list_zero_friction_edits(joints[follower.name], values) if share else []
     # Masses that data cannot tell are a choice, which a reader of the file must know.
     feasible = [note for note in model.notes if note.startswith(FEASIBLE_NOTE)]
-    comments = "".join(
-        f"\n  <!-- {note.replace('--', '- -')} -->" for note in (*feasible, *remarks)
-    )
+    comments = "".join(f"\n  <!--{comment_text(note)}-->" for note in (*feasible, *remarks))
     # Behind the root's start tag: first thing that a reader sees.
     edited = file.edited([*edits, Edit(file.root.inner, file.root.inner, comments)])
     # Read as other programs do, without straightening: what the user's simulator will compute.

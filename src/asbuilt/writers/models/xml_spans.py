@@ -165,6 +165,15 @@ def list_attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]
     return [*edits, Edit(element.named, element.named, added)] if added else edits
 
 
+def comment_text(text: str) -> str:
+    """Return a text as a comment of XML holds it: on one line, no two hyphens next to each other.
+
+    >>> comment_text("of a ---> b --")
+    ' of a - - -> b - - '
+    """
+    return f" {re.sub('-(?=-)', '- ', ' '.join(text.split()))} "
+
+
 class _Spotter:
     """Record the position of each tag, as the target of an expat parser."""
 

@@ -53,8 +53,7 @@ def build_round_mesh(
     return vertices @ rotation_onto((solid.stop - solid.start) / length).T + solid.start, faces
 
 
-ROD = (196, 201, 208)
-HOUSING = (236, 128, 36)
+BODY_COLOURS = {"rod": (196, 201, 208), "housing": (236, 128, 36)}
 STAND = (112, 118, 126)
 SHADOW = (216, 220, 225)
 GRID = (228, 231, 235)
@@ -116,10 +115,7 @@ def draw_skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[
     parts = (16, 4, 4) if len(view.t) > 1 else (36, 8, 10)
     solids = [*view.solids, *view.stand]
     meshes = [build_round_mesh(solid, *parts) for solid in solids]
-    colours = [
-        STAND if k >= len(view.solids) else ROD if solid.kind == "rod" else HOUSING
-        for k, solid in enumerate(solids)
-    ]
+    colours = [BODY_COLOURS[solid.kind] for solid in view.solids] + [STAND] * len(view.stand)
     counts = [len(faces) for _, faces in meshes]
     shades = np.repeat(np.array(colours), counts, axis=0)
     # A housing counts as nearer than the rods that it encloses, by this part of its radius.

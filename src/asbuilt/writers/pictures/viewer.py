@@ -22,8 +22,7 @@ from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.findings import Cure
 from asbuilt.writers.pictures.skeleton import MotionView, build_round_mesh
 
-ROD = (205, 208, 213)
-HOUSING = (226, 122, 32)
+BODY_COLOURS = {"rod": (205, 208, 213), "housing": (226, 122, 32)}
 STAND = (96, 101, 108)
 PATH = (0, 114, 178)
 COM = (20, 20, 24)
@@ -159,13 +158,10 @@ class Viewer:
             self._add_inertia(name, k)
         for number, solid in enumerate(view.solids):
             parent = "" if solid.link == ROOT else self._links[solid.link].name
-            self._layers["bodies"].append(
-                self._add_mesh(
-                    f"{parent}/{solid.kind} {number}",
-                    solid,
-                    ROD if solid.kind == "rod" else HOUSING,
-                )
+            mesh = self._add_mesh(
+                f"{parent}/{solid.kind} {number}", solid, BODY_COLOURS[solid.kind]
             )
+            self._layers["bodies"].append(mesh)
         if len(view.path) > 1:
             segments = np.stack([view.path[:-1], view.path[1:]], axis=1).astype(np.float32)
             self._layers["path of the tip"].append(

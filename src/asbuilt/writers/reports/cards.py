@@ -7,7 +7,7 @@ from asbuilt.tables import format_share
 from asbuilt.validation import Comparison, position_unit
 from asbuilt.validation.verdicts.reasons import Use
 from asbuilt.validation.verdicts.verdict import Verdict
-from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_result import Study
 from asbuilt.writers.reports.page import Card, Mood
 
 MOODS: dict[Use, Mood] = {

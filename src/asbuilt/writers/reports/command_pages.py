@@ -40,7 +40,7 @@ from asbuilt.writers.reports.page import (
     section_markup,
     table_markup,
 )
-from asbuilt.writers.reports.sections.prediction import ROLLOUT, fill_rollout_fields
+from asbuilt.writers.reports.sections.prediction import rollout_markup
 from asbuilt.writers.tables.design_tables import (
     describe_margins,
     design_facts,
@@ -221,14 +221,18 @@ def render_rollouts(
         for k, rollout in enumerate(rollouts)
     ]
     findings = list_markup(finding.text for finding in rollout_findings(rollouts))
-    motion = section_markup(ROLLOUT, fill_rollout_fields(model, rollouts))
     return render_page(
         model.name,
         ", ".join(logs),
         [
             Block("verdict", "Verdict", (cards_markup(_make_cards(longest)), findings)),
             Block("animation", "Animation", moving),
-            Block("motion", "Measured and simulated motion", (motion,), "Motion"),
+            Block(
+                "motion",
+                "Measured and simulated motion",
+                (rollout_markup(model, rollouts),),
+                "Motion",
+            ),
             Block("by-joint", "Joint by joint", joints, "Joints"),
         ],
         title=f"{model.name}: rollout",

@@ -276,10 +276,9 @@ def _make_prediction_card(controller: ControllerComparison) -> Card:
 
 def _make_drift_cards(drift: Drift) -> list[Card]:
     verb = "differ" if drift.of_models else "changed"
-    tested = sum(parameter.sigmas is not None for parameter in drift.parameters)
     changed = [joint for joint in drift.joints if joint.holm <= drift.level]
     counts = [
-        (drift.n_changed, tested, f"parameters {verb} significantly"),
+        (drift.n_changed, drift.n_compared, f"parameters {verb} significantly"),
         (len(changed), len(drift.joints), f"joints {verb} in the torque of the same motion"),
     ]
     cards = [

@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.registry import Registry
 from asbuilt.validation import Recovery, ResidualAnalysis, Validation, VelocityCurve, recording_name
-from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_result import Study
 from asbuilt.writers.figures.figure_style import thin_curves
-from asbuilt.writers.reports.page import Block, read_resource, render_page, section_markup
+from asbuilt.writers.reports.page import Block, read_resource, render_page
 from asbuilt.writing import atomic_write
 
 
@@ -68,18 +69,16 @@ def report_html(
 ) -> str:
     """Return the report of a study as text; see `write_report`."""
     report = Report(study, payload, command, recovery)
-    shown = []
-    for identifier, section in sorted(sections.items(), key=lambda item: item[1].order):
-        context = section.context(report)
-        if context is not None:
-            body = section_markup(section.template, context)
-            shown.append(Block(identifier, section.title, (body,), folded=section.folded))
+    blocks = [
+        Block(identifier, section.title, section.parts(report), folded=section.folded)
+        for identifier, section in sorted(sections.items(), key=lambda item: item[1].order)
+    ]
     robot = study.result.robot
     sources = ", ".join(recording_name(source) for source in study.result.sources)
     return render_page(
         robot,
         "as built",
-        shown,
+        blocks,
         title=f"{robot}, as built",
         subtitle=f"Identified from {sources}",
         data=make_plain(plot_data(report)),
@@ -198,23 +197,18 @@ class Section:
         Heading, and name in the contents.
     order
         Place on the page; sections with smaller numbers come first.
-    template
-        Text of a Jinja template; names are escaped.
-    context
-        Function from a `Report` to the fields of the template; None leaves the section out.
+    parts
+        Function from a `Report` to drawings, lists and tables, one after another; without any the
+        section is left out.
     folded
         Whether a reader opens it: what is no part of the decision.
     """
 
     title: str
     order: float
-    template: str
-    context: Callable[[Report], Mapping[str, Any] | None]
+    parts: Callable[[Report], Sequence[Markup]]
     folded: bool = False
 
-
-PARTS = "{% for part in parts %}{{ part }}\n{% endfor %}"
-"""Template of a section that is made of drawings, lists and tables, one after another."""
 
 sections: Registry[Section] = Registry(
     "report section", "asbuilt.writers.reports.sections", "asbuilt.report_sections"

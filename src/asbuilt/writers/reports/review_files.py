@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 
 from asbuilt.codec import format_json, make_plain
-from asbuilt.findings import Cure, join_names, list_findings
+from asbuilt.findings import Cure, join_names, list_findings, list_warnings
 from asbuilt.identification.screen import format_effects
 from asbuilt.tables import (
     Cell,
@@ -24,7 +24,7 @@ from asbuilt.tables import (
 )
 from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.comparison.significance import RESOLUTION
-from asbuilt.validation.prediction import LETTERS
+from asbuilt.validation.prediction import describe_letters
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
 from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
@@ -61,9 +61,7 @@ def review_document(review: Review) -> dict[str, Any]:
         },
         "claims": make_plain(review.claims),
         "effects": make_plain(review.result.effects),
-        "warnings": [
-            {"code": finding.code, "message": finding.text} for finding in review.findings
-        ],
+        "warnings": list_warnings(review.findings),
     }
 
 
@@ -73,7 +71,7 @@ def review_text(
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
     letter = (
         f"{review.letter}: the description predicts these recordings to"
-        f" {format_share(review.error)} of the torque ({LETTERS.text})"
+        f" {format_share(review.error)} of the torque ({describe_letters()})"
     )
     shown = review.findings if full else review.first_findings
     return "\n".join(

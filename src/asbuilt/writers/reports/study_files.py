@@ -19,7 +19,7 @@ from asbuilt.identification import (
 from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.verdicts.verdict import describe_payload_outcome
-from asbuilt.workflow.study import Study
+from asbuilt.workflow.study_result import Study
 from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
 from asbuilt.writers.tables.drive_tables import tabulate_motor_side
 from asbuilt.writers.tables.payload_tables import (

@@ -8,7 +8,7 @@ from typing import Any
 
 from asbuilt.codec import make_plain
 from asbuilt.dynamics import DriveTerm, available_terms
-from asbuilt.findings import join_names
+from asbuilt.findings import join_names, list_warnings
 from asbuilt.identification import MotorSideParameter, TorqueGains, TwoChannelEstimate
 from asbuilt.tables import Column, Table, format_percent, format_plus_minus, stack_tables
 
@@ -195,7 +195,7 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
                 found.joint_names, found.scales.tolist(), found.scale_errors.tolist(), strict=True
             )
         ],
-        "warnings": [{"code": finding.code, "message": finding.text} for finding in found.findings],
+        "warnings": list_warnings(found.findings),
         "undetermined": list(found.estimate.undetermined),
     }
 

@@ -16,6 +16,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, parameter_values
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.experiment.quality.checks import RecordingCheck
+from asbuilt.findings import list_warnings
 from asbuilt.identification import (
     FeasibleInterval,
     IdentificationResult,
@@ -97,7 +98,7 @@ def identify_document(
         ),
         "determination": study.determination.as_dict(),
         "mass": None if masses is None else masses.as_dict(),
-        "warnings": [{"code": finding.code, "message": finding.text} for finding in study.findings],
+        "warnings": list_warnings(study.findings),
         "findings": make_plain(study.findings),
         "files": path_texts(files),
     }

@@ -118,3 +118,15 @@ def test_a_logged_temperature_explains_what_it_moves() -> None:
 
 def test_too_few_days_are_not_scanned() -> None:
     assert scan(np.tile(np.eye(2), (4, 1, 1)), np.zeros((4, 2)), np.eye(2)) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_robot_without_the_temperature_of_its_type_stays_as_it_is() -> None:
+    rng = np.random.default_rng(0)
+    score = rng.normal(size=(5, 2))
+    covariates = np.column_stack([np.full(5, np.nan), [20.0, np.nan, 24.0, 22.0, 26.0]])
+    history = History(np.tile(np.eye(2), (5, 1, 1)), score, covariates)
+    slopes = np.array([[1.0, 1.0], [0.5, 0.0]])
+    found = history.without(slopes).score
+    np.testing.assert_allclose(found[:, 1], score[:, 1])
+    np.testing.assert_allclose(found[:, 0] - score[:, 0], [1.5, 0.0, -0.5, 0.5, -1.5])

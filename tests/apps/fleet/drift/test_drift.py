@@ -19,6 +19,7 @@ from asbuilt import (
     write_fleet_report,
 )
 from asbuilt.apps.fleet.drift.columns import make_day, merge_by_day
+from asbuilt.apps.fleet.drift.drift import RobotDrift, conclude_drift
 from asbuilt.apps.fleet.ledger.entry import read_entry
 from asbuilt.apps.fleet.reduction.add import make_identity_finder
 from asbuilt.apps.fleet.report import render_fleet
@@ -148,6 +149,21 @@ def test_tilt_products_are_those_of_gravity_torques(ledger: Path) -> None:
 
 
 @pytest.mark.study
+def test_a_change_beyond_what_a_probability_resolves_comes_first() -> None:
+    """A body on the flange may be 40 standard errors off, of probability 0 in double precision."""
+    dates = ("2026-03-01", "2026-03-09")
+    robots = [
+        RobotDrift(name, "type", 9, *dates, False, dates[1], p, None, (), dates, (1.0, 9.0))
+        for name, p in (("quiet", 0.7), ("less sure", 1e-9), ("sure", 0.0))
+    ]
+    found = conclude_drift("ledger", None, robots, (), FleetDriftOptions())
+    order = ["sure", "less sure", "quiet"]
+    assert [robot.id for robot in found.robots] == order
+    page = render_fleet(found)
+    places = [page.index(f'id="robot-{name.replace(" ", "%20")}"') for name in order]
+    assert places == sorted(places)
+
+
 def test_logs_of_one_day_count_together(ledger: Path) -> None:
     entries = open_ledger(str(ledger)).entries("R3")
     logs = [make_day(each) for each in entries]

@@ -30,15 +30,16 @@ from asbuilt.apps.fleet.drift.variation import (
     scan,
 )
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
-from asbuilt.apps.fleet.ledger.settings import TypeSettings
+from asbuilt.apps.fleet.ledger.settings import TypeSettings, convert_to_utc
 from asbuilt.apps.fleet.options import FleetDriftOptions
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.dynamics import use_one_blas_thread
 from asbuilt.errors import UsageError
-from asbuilt.findings import Finding, rank_findings
+from asbuilt.findings import Finding, list_warnings, rank_findings
 from asbuilt.identification import FoundEffect
 from asbuilt.validation import benjamini_hochberg
+from asbuilt.workflow import Progress
 
 EXAMPLES = 40
 """Robots of a type from which its noise and directions are found."""
@@ -82,10 +83,10 @@ class RobotDrift:
     days: tuple[str, ...]
     distances: tuple[float, ...]
 
-    def as_document(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        document: dict[str, Any] = make_plain(self)
-        return document
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Key by which robots are sorted: those that changed first, the surest before."""
+        return not self.changed, 1.0 if self.false_discovery is None else self.false_discovery
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,9 +140,7 @@ class FleetDrift:
             "robots": make_plain(self.robots),
             "types": make_plain(self.types),
             "false_discovery_rate": self.false_discovery_rate,
-            "warnings": [
-                {"code": finding.code, "message": finding.text} for finding in self.findings
-            ],
+            "warnings": list_warnings(self.findings),
             "findings": [finding.as_dict() for finding in self.findings],
         }
 
@@ -151,7 +150,7 @@ def fleet_drift(
     *,
     since: datetime | None = None,
     options: FleetDriftOptions | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FleetDrift:
     """Find the robots of a fleet that changed.
 
@@ -164,7 +163,8 @@ def fleet_drift(
     ledger
         A ledger, its folder or URL.
     since
-        Look for changes on this date or later; None: at any time. Earlier logs are the reference.
+        Look for changes on this date (UTC) or later; None: at any time. Earlier logs are the
+        reference.
     options
         How to look.
     progress
@@ -175,7 +175,7 @@ def fleet_drift(
     UsageError
         If there is no ledger, or no robot in it.
     """
-    opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
+    opened = open_ledger(ledger)
     types = opened.types()
     groups: dict[TypeSettings, list[str]] = {}
     for robot_id in opened.robot_ids():
@@ -184,6 +184,7 @@ def fleet_drift(
             groups.setdefault(names[-1][1], []).append(robot_id)
     if not groups:
         raise UsageError(f"the ledger {opened.root} has no logs", value=opened.root)
+    since = None if since is None else convert_to_utc(since)
     done = count(1)
     total = sum(map(len, groups.values()))
     report = progress or (lambda what, fraction: None)
@@ -232,7 +233,8 @@ def scan_type(
         Called with each robot that was read.
     """
     with use_one_blas_thread():
-        examples = {each: read(each) for each in robot_ids[:: -(-len(robot_ids) // EXAMPLES)]}
+        step = -(-len(robot_ids) // EXAMPLES)
+        examples = {robot_id: read(robot_id) for robot_id in robot_ids[::step]}
         sound = [days for days in examples.values() if days]
         if not sound:
             return [], TypeVariation(robot_type, 0, 0, 0, 0.0, (), ())
@@ -279,6 +281,8 @@ def scan_type(
 
 PLAUSIBLE = 0.05
 """Probability up to which a change is explained before the fleet's rate decides."""
+FEWEST_DAYS = 20
+"""Days of a type, in addition to one of each robot, below which its variation is uncertain."""
 
 
 def conclude_drift(
@@ -295,44 +299,43 @@ def conclude_drift(
     rate_of = dict(zip(tested, rates, strict=True))
     level = options.false_discovery_rate
     decided = [_decide_change(robot, rate_of.get(robot.id), level) for robot in robots]
-    decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
+    decided.sort(key=lambda robot: (robot.rank, robot.id))
     few = [robot.id for robot in robots if robot.p_value is None]
-    shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
-    without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
-    possible = (
-        (
-            few,
+    found = [*findings]
+    if few:
+        shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
+        found.append(
             Finding(
                 "drift_too_few_days",
                 "info",
                 f"{len(few)} robots have logs of too few days to look for changes ({shown});"
                 f" {DAYS_BEFORE} before and {DAYS_AFTER} after are needed",
-            ),
-        ),
-        (
-            without,
-            Finding(
-                "drift_variation_uncertain",
-                "warning",
-                f"the natural variation of {''.join(without[:1])} comes from few days; changes that"
-                " are not large are not found",
-            ),
-        ),
-    )
+            )
+        )
+    found += [
+        Finding(
+            "drift_variation_uncertain",
+            "warning",
+            f"the natural variation of {kind.robot_type} comes from few days; changes that are not"
+            " large are not found",
+        )
+        for kind in types
+        if 0 < kind.n_days - kind.n_robots < FEWEST_DAYS
+    ]
     return FleetDrift(
         ledger,
         None if since is None else since.isoformat(),
         tuple(decided),
         tuple(types),
         level,
-        rank_findings([*findings, *(finding for holds, finding in possible if holds)]),
+        rank_findings(found),
     )
 
 
-def _decide_change(each: RobotDrift, rate: float | None, level: float) -> RobotDrift:
+def _decide_change(robot: RobotDrift, rate: float | None, level: float) -> RobotDrift:
     if rate is None or rate > level:
-        return replace(each, when=None, what=(), false_discovery=rate)
-    return replace(each, changed=True, false_discovery=rate)
+        return replace(robot, when=None, what=(), false_discovery=rate)
+    return replace(robot, changed=True, false_discovery=rate)
 
 
 def _build_history(directions: Directions, days: Sequence[Day], names: Sequence[str]) -> History:

@@ -83,26 +83,26 @@ def explain_change(
     beta = columns.fit(sum_days(days[: max(place, 1)]), directions.weights, directions.beta)
     step = _accumulate_stepping(directions, variation.covariance, days, place, beta)
     taken = _select_effects(step, list_sources(columns), inflation)
-    _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
+    _, found, covariance, _ = step.fit(np.hstack([source.design for source in taken]))
     after = columns.about(sum_days(days[place:]), beta)
     all_days = columns.about(sum_days(days), beta)
     torque = columns.residual_energy(sum_days(days[place:]), np.zeros(columns.base.n_base)).sum()
     n = sum(day.n_samples for day in days)
     effects = []
-    edges = np.cumsum([0, *(each.design.shape[1] for each in taken)])
+    edges = np.cumsum([0, *(source.design.shape[1] for source in taken)])
     x = np.zeros(columns.size)
     for source, part in zip(taken, map(slice, edges, edges[1:]), strict=True):
         own = source.design @ found[part]
         rms = np.sqrt(all_days.energy(own, torque=0.0) / n)
         errors = tuple(
-            float(np.sqrt(after.energy(each).sum() / torque)) if torque > 0.0 else 0.0
-            for each in (x, x + own)
+            float(np.sqrt(after.energy(explained).sum() / torque)) if torque > 0.0 else 0.0
+            for explained in (x, x + own)
         )
         x = x + own
         spread = inflation * covariance[part, part]
         size = _word_size(source, found[part], spread, columns, beta, all_days)
         effects.append(_make_effect(source, size, rms, errors, columns))
-    return tuple(sorted(effects, key=lambda each: -each.torque))
+    return tuple(sorted(effects, key=lambda effect: -effect.torque))
 
 
 def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float) -> list[Source]:
@@ -113,7 +113,7 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
     rank = 0
     while len(taken) < CHANGE_MOST:
         left = [source for source in sources if not any(_has_overlap(source, own) for own in taken)]
-        fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
+        fits = [step.fit(np.hstack([e.design for e in (*taken, source)])) for source in left]
         gains = np.array([fit[0] for fit in fits]) - reached
         ranks = [fit[3] - rank for fit in fits]
         spread = max(inflation, (whole - reached - gains.max()) / len(step.score))

@@ -65,8 +65,9 @@ class History:
         """Return the history less what its temperatures explain, by coefficients (c, r)."""
         if not coefficients.size:
             return self
-        centred = self.covariates - np.nanmedian(self.covariates, axis=0)
-        y = np.nan_to_num(centred, nan=0.0) @ coefficients
+        # A robot may lack a temperature that others of its type have.
+        usual = np.ma.median(np.ma.masked_invalid(self.covariates), axis=0).filled(0.0)
+        y = np.nan_to_num(self.covariates - usual, nan=0.0) @ coefficients
         return replace(self, score=self.score - np.einsum("drs,ds->dr", self.information, y))
 
 
@@ -78,8 +79,6 @@ class Variation:
     ----------
     covariance
         V (r, r) of a day about its robot's mean, without the noise of its log.
-    degrees
-        Degrees of freedom behind it.
     inflations
         Factor of the variance of each robot: autocorrelation and its own spread.
     null
@@ -91,7 +90,6 @@ class Variation:
     """
 
     covariance: Array
-    degrees: float
     inflations: Array
     autocorrelation: float
     coefficients: Array
@@ -103,40 +101,41 @@ def estimate_variation(histories: Sequence[History]) -> Variation:
 
     `y_t = mu + v_t + e_t` with a mean for each robot; V by scoring steps, which solve the moment
     equations of restricted maximum likelihood (Harville, J. Am. Stat. Assoc. 72, 1977), from
-    differences of neighbouring days, which one
-    change of a robot hardly moves. Robots whose scan then finds a change get a mean before and
-    after it, and days far off less weight, so robots that changed do not count as varying (Huber,
-    Robust Statistics, 1981, chapter 8).
+    differences of neighbouring days, which one change of a robot hardly moves. Robots whose scan
+    then finds a change get a mean before and after it, and days far off less weight, so robots
+    that changed do not count as varying (Huber, Robust Statistics, 1981, chapter 8).
     """
     coefficients = _fit_temperature(histories)
-    found = [history.without(coefficients) for history in histories]
-    r = found[0].score.shape[1]
-    V = _estimate_first(found)
-    inflations = np.ones(len(found))
+    histories = [history.without(coefficients) for history in histories]
+    r = histories[0].score.shape[1]
+    V = _estimate_first(histories)
+    inflations = np.ones(len(histories))
     degrees = 0.0
     rho = 0.0
     for _ in range(ITERATIONS):
-        parts = [
-            _split_history(each, scan(each.information, each.score, V, inflation=s))
-            for each, s in zip(found, inflations.tolist(), strict=True)
+        robots = [
+            _split_history(
+                history, scan(history.information, history.score, V, inflation=inflation)
+            )
+            for history, inflation in zip(histories, inflations.tolist(), strict=True)
         ]
-        counts = np.array([sum(len(score) - 1 for _, score in part) for part in parts])
+        counts = np.array([sum(len(score) - 1 for _, score in robot) for robot in robots])
         degrees = float(counts.sum())
         if not degrees:
-            return Variation(V, 0.0, inflations, 0.0, coefficients, NullDistribution.theoretical(r))
+            return Variation(V, inflations, 0.0, coefficients, NullDistribution.theoretical(r))
         for _ in range(STEPS):
-            V = _step_scoring([segment for part in parts for segment in part], V)
-        whitened = [[_whiten_residuals(J, s, V) for J, s in part] for part in parts]
-        own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
-        rho = _estimate_autocorrelation([z for each in whitened for z in each])
-        inflations = np.maximum((r * OWN_DAYS + own) / (r * (OWN_DAYS + counts)), 1.0)
+            V = _step_scoring([segment for robot in robots for segment in robot], V)
+        whitened = [[_whiten_residuals(J, s, V) for J, s in robot] for robot in robots]
+        squares = np.array([sum(float(np.sum(z * z)) for z in robot) for robot in whitened])
+        rho = _estimate_autocorrelation([z for robot in whitened for z in robot])
+        inflations = np.maximum((r * OWN_DAYS + squares) / (r * (OWN_DAYS + counts)), 1.0)
     quiet = [
-        (each, s)
-        for each, s, segments in zip(found, inflations.tolist(), parts, strict=True)
-        if len(segments) == 1 and len(segments[0][1]) == each.n_days
+        (history, inflation)
+        for history, inflation, robot in zip(histories, inflations.tolist(), robots, strict=True)
+        if len(robot) == 1 and len(robot[0][1]) == history.n_days
     ]
     null = _simulate_null_distribution(quiet, V, degrees)
-    return Variation(V, degrees, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null)
+    return Variation(V, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null)
 
 
 def _simulate_null_distribution(
@@ -150,17 +149,20 @@ def _simulate_null_distribution(
     """
     rng = np.random.default_rng(0)
     shuffled = []
-    for history, spread in quiet[:: max(1, -(-len(quiet) // MOST_SHUFFLED))]:
+    for history, inflation in quiet[:: max(1, -(-len(quiet) // MOST_SHUFFLED))]:
         for _ in range(SHUFFLES):
             order = rng.permutation(history.n_days)
-            found = scan(history.information[order], history.score[order], V, inflation=spread)
+            found = scan(history.information[order], history.score[order], V, inflation=inflation)
             if found is not None:
                 shuffled.append((found.statistics, history.n_days))
-    pooled = np.concatenate([each for each, _ in shuffled]) if shuffled else np.zeros(0)
+    pooled = np.concatenate([np.zeros(0), *(statistics for statistics, _ in shuffled)])
     null = NullDistribution.fitted(pooled, len(V), degrees, len(shuffled))
     if len(shuffled) < FEWEST_SHUFFLED:
         return null
-    p = [scan_probability(float(null.exceeded(each.max())), d, len(V)) for each, d in shuffled]
+    p = [
+        scan_probability(float(null.exceeded(statistics.max())), d, len(V))
+        for statistics, d in shuffled
+    ]
     low = float(np.quantile(p, LEVEL))
     return replace(null, power=min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12))))
 
@@ -195,11 +197,17 @@ def _split_history(history: History, change: Scan | None) -> list[tuple[Array, A
 
 def _weigh_about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     """Return the weights P_t of the days and `P_t (y_t - mu)`."""
+    P, b = _weigh_days(J, s, V)
+    mean = Scaled(P.sum(axis=0)).solve(b.sum(axis=0))
+    return P, np.asarray(b - P @ mean)
+
+
+def _weigh_days(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
+    """Return the weights `P_t = (V + J_t^-1)^-1 = (I + J_t V)^-1 J_t` of days, and `P_t y_t`."""
     A = np.eye(len(V)) + J @ V
     P = np.linalg.solve(A, J)
     b = np.linalg.solve(A, s[..., None])[..., 0]
-    mean = Scaled(P.sum(axis=0)).solve(b.sum(axis=0))
-    return np.asarray(P), np.asarray(b - P @ mean)
+    return np.asarray(P), np.asarray(b)
 
 
 def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
@@ -209,7 +217,7 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     negative in units of the total covariance is zero.
     """
     r = len(V)
-    weak = 1e-9 * np.eye(len(V))
+    weak = 1e-9 * np.eye(r)
     limit = float(chdtri(r, OUTLYING))
     U = np.zeros((r, r))
     A = weak
@@ -353,8 +361,6 @@ class Scan:
         First day after the change, of each.
     place
         The candidate of the largest statistic.
-    statistic
-        The largest.
     p_value
         Probability of as large a one without a change.
     """
@@ -362,7 +368,6 @@ class Scan:
     statistics: Array
     candidates: Array
     place: int
-    statistic: float
     p_value: float
 
 
@@ -404,9 +409,7 @@ def scan(
     candidates = np.arange(max(DAYS_BEFORE, first), d - DAYS_AFTER + 1)
     if not candidates.size:
         return None
-    A = np.eye(r) + information @ variation
-    P = np.linalg.solve(A, information)
-    b = np.linalg.solve(A, score[..., None])[..., 0]
+    P, b = _weigh_days(information, score, variation)
     N1 = np.cumsum(P, axis=0)[candidates - 1]
     b1 = np.cumsum(b, axis=0)[candidates - 1]
     N = P.sum(axis=0)
@@ -423,7 +426,6 @@ def scan(
         statistics,
         candidates,
         int(candidates[best]),
-        float(statistics[best]),
         scan_probability(single, d, r, int(candidates[0])) ** known.power,
     )
 

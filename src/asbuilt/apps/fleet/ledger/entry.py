@@ -318,17 +318,17 @@ def _rebuild_information(
         tuple(support),
         tuple(factors),
         frame["torque_sum"].to_numpy().reshape(n_blocks, len(joints)).copy(),
-        tuple(TimeBlock(source, *each) for each in times),
+        tuple(TimeBlock(source, *time) for time in times),
     )
 
 
 def _read_tilt(frame: pl.DataFrame, settings: TypeSettings) -> tuple[Array, ...]:
     stored = frame["tilt"].to_list() if "tilt" in frame.columns else []
-    if not stored or any(each is None for each in stored):
+    if not stored or any(products is None for products in stored):
         return ()
     return tuple(
-        np.array(each, dtype=np.float64).reshape(len(columns) + 3, 2)
-        for each, columns in zip(stored, settings.plan.support, strict=True)
+        np.array(products, dtype=np.float64).reshape(len(columns) + 3, 2)
+        for products, columns in zip(stored, settings.plan.support, strict=True)
     )
 
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from pathlib import Path
 from urllib.parse import unquote
 
 from asbuilt.apps.fleet.ledger.entry import Entry, EntryName, digest_content, read_entry
-from asbuilt.apps.fleet.ledger.settings import FORMAT_VERSION, TypeSettings, check_version
+from asbuilt.apps.fleet.ledger.settings import (
+    EARLIEST,
+    FORMAT_VERSION,
+    LATEST,
+    TypeSettings,
+    check_version,
+    convert_to_utc,
+)
 from asbuilt.apps.fleet.ledger.store import (
     Store,
     is_folder,
@@ -60,21 +67,25 @@ class Ledger:
     def types(self) -> dict[str, TypeSettings]:
         """Return the settings of each robot type: the first of the latest generation."""
         found: dict[str, TypeSettings] = {}
-        for setting in self.all_settings():
+        for setting in self.all_settings().values():
             known = found.get(setting.robot_type)
             if known is None or setting.generation > known.generation:
                 found[setting.robot_type] = setting
         return found
 
-    def all_settings(self) -> Iterator[TypeSettings]:
-        """Yield the settings of all types and generations; damaged ones are named and skipped."""
+    def all_settings(self) -> dict[str, TypeSettings]:
+        """Return the settings of all types and generations by digest, without damaged files."""
+        found: dict[str, TypeSettings] = {}
         for folder in self.store.names("types"):
             for name in self.store.names(f"types/{folder}"):
                 path = f"types/{folder}/{name}"
                 try:
-                    yield TypeSettings.from_content(self.store.read(path), path)
+                    setting = TypeSettings.from_content(self.store.read(path), path)
                 except ResultError as problem:
                     self._report_damage(path, problem)
+                else:
+                    found.setdefault(setting.digest, setting)
+        return found
 
     def settings_of(self, robot_type: str) -> TypeSettings | None:
         """Return the settings of a robot type; None if no log of it was added yet."""
@@ -97,8 +108,8 @@ class Ledger:
     ) -> list[tuple[EntryName, TypeSettings]]:
         """Return a robot's entries of the latest settings with these, by date, each log once."""
         found: dict[str, tuple[EntryName, TypeSettings]] = {}
-        for each in self._all_current(robot_id, types):
-            found.setdefault(each[0].source, each)
+        for name, settings in self._all_current(robot_id, types):
+            found.setdefault(name.source, (name, settings))
         return list(found.values())
 
     def _all_current(
@@ -106,7 +117,7 @@ class Ledger:
     ) -> list[tuple[EntryName, TypeSettings]]:
         """Return the names of entries of the latest settings; a log may have several."""
         latest = self.types() if types is None else types
-        by_digest = {each.digest: each for each in latest.values()}
+        by_digest = {setting.digest: setting for setting in latest.values()}
         names = self.names(robot_id)
         current = [(n, by_digest[n.settings]) for n in names if n.settings in by_digest]
         left_out = len({name.source for name in names} - {name.source for name, _ in current})
@@ -137,10 +148,12 @@ class Ledger:
         until: datetime | None = None,
         types: dict[str, TypeSettings] | None = None,
     ) -> list[Entry]:
-        """Return a robot's sound entries of the latest settings, `since <= date < until`."""
+        """Return a robot's sound entries of the latest settings, `since <= date < until` (UTC)."""
+        first = EARLIEST if since is None else convert_to_utc(since)
+        end = LATEST if until is None else convert_to_utc(until)
         found: dict[str, Entry] = {}
         for name, settings in self._all_current(robot_id, types):
-            asked = (not since or since <= name.date) and (not until or name.date < until)
+            asked = first <= name.date < end
             entry = self.read(name, settings) if asked and name.source not in found else None
             if entry is not None:
                 found[name.source] = entry
@@ -182,13 +195,13 @@ class Ledger:
             self.findings.append(finding)
 
 
-def open_ledger(root: str, *, create: bool = False) -> Ledger:
+def open_ledger(ledger: Ledger | str | Path, *, create: bool = False) -> Ledger:
     """Return the ledger in a folder or at a URL such as `s3://bucket/ledger`.
 
     Parameters
     ----------
-    root
-        Where it is.
+    ledger
+        Where it is; one that is open is returned as it is.
     create
         Whether an empty or missing folder becomes a ledger.
 
@@ -199,6 +212,9 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
     ResultError
         If the ledger is of another version, or its mark is damaged.
     """
+    if isinstance(ledger, Ledger):
+        return ledger
+    root = str(ledger)
     store = open_store(root)
     names = store.names("")
     foreign = [name for name in names if name not in FOLDERS]

@@ -205,6 +205,13 @@ def _make_damage_error(path: str, why: str) -> ResultError:
 EARLIEST = datetime(2000, 1, 1, tzinfo=UTC)
 LATEST = datetime(2100, 1, 1, tzinfo=UTC)
 """Dates that a clock can be trusted for; a counter since power-on is none."""
+
+
+def convert_to_utc(date: datetime) -> datetime:
+    """Return a date in UTC, which one without time zone is in already."""
+    return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
+
+
 DateSource = Literal["given", "sheet", "stamps", "name"]
 SCHEMA: dict[str, Any] = {
     "robot_id": pl.String,
@@ -296,7 +303,7 @@ def _check_texts(name: str, texts: pl.Series) -> None:
 
 def _check_dates(dates: pl.Series) -> None:
     """Compare as numbers, since Python has no dates beyond the year 9999."""
-    first, last = (int(each.timestamp() * 1e6) for each in (EARLIEST, LATEST))
+    first, last = (int(limit.timestamp() * 1e6) for limit in (EARLIEST, LATEST))
     stamps = dates.cast(pl.Int64)
     if not stamps.is_between(first, last, closed="left").all():
         raise ValueError(f"date is not between {EARLIEST:%Y} and {LATEST:%Y}")

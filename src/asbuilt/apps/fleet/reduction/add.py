@@ -17,7 +17,13 @@ from asbuilt.apps.fleet.ledger.store import LONGEST_PATTERN, check_robot_id, fin
 from asbuilt.apps.fleet.options import FleetOptions
 from asbuilt.apps.fleet.overview import report_suspicions
 from asbuilt.apps.fleet.reduction.log_source import choose_settings, hash_sources
-from asbuilt.apps.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
+from asbuilt.apps.fleet.reduction.log_task import (
+    LogReport,
+    LogTask,
+    check_type,
+    read_outcome,
+    reduce_log,
+)
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.errors import AsbuiltError, RecordingError, UsageError
 from asbuilt.executor import Workers, open_workers
@@ -142,20 +148,18 @@ def add_logs(
             )
 
         asked = [files for files in owners if str(files[0]) not in unusable]
-        tasks = (make_task(files) for files in asked if files not in copies)
-        count = len(asked) - sum(files in copies for files in asked)
-        reports = [*failed, *run_tasks(workers, tasks, count, progress)]
+        firsts = [files for files in asked if files not in copies]
+        made = run_tasks(workers, map(make_task, firsts), len(firsts), progress)
+        reports = [*failed, *made]
         became = {report.log: report for report in reports}
-        for files in asked:
-            if files in copies:
-                done = became[str(copies[files][0])]
-                if done.problem is None:
-                    reports.append(LogReport(str(files[0]), owners[files], done.entry))
-                    continue
+        for files in (files for files in asked if files in copies):
+            first = str(copies[files][0])
+            if became[first].problem is None:
+                reports.append(LogReport(str(files[0]), owners[files], became[first].entry))
+            else:
                 # The first had no date, say: this one is reduced in its place.
-                (again,) = run_tasks(workers, [make_task(files)], 1, None)
-                became[str(copies[files][0])] = again
-                reports.append(again)
+                (became[first],) = run_tasks(workers, [make_task(files)], 1, None)
+                reports.append(became[first])
     return conclude_addition(
         opened, (settings,), reports, fixed=fixed, began=began, dashboard=workers.dashboard
     )
@@ -209,9 +213,11 @@ def run_tasks(
     by = f", dashboard at {page}" if page else f" by {workers.count} workers"
     report(f"reduce: {count} logs{by}", 0.0)
     for done, outcome in enumerate(workers.run(reduce_log, tasks), start=1):
-        task = outcome.task
-        problem = outcome.problem or "it failed"
-        yield outcome.result or LogReport(str(task.paths[0]), task.robot_id, problem=problem)
+        try:
+            made = read_outcome(outcome)
+        except AsbuiltError as problem:
+            made = LogReport.of_failure(outcome.task.paths, outcome.task.robot_id, problem)
+        yield made
         rate = done / max(time.monotonic() - began, 1e-9)
         left = _format_duration((count - done) / rate)
         report(f"reduce: {done} of {count} logs, {rate:.3g} a second, {left} left", done / count)
@@ -227,8 +233,8 @@ def conclude_addition(
     dashboard: str | None,
 ) -> Addition:
     """Return what became of all logs, in the order of their paths, and what is suspicious."""
-    ordered = sorted(reports, key=lambda each: each.log)
-    findings = [found for each in ordered for found in each.findings]
+    ordered = sorted(reports, key=lambda report: report.log)
+    findings = [found for report in ordered for found in report.findings]
     if fixed:
         findings += [
             Finding(
@@ -238,15 +244,15 @@ def conclude_addition(
             )
             for setting in settings
         ]
-    for robot_id in sorted({each.robot_id for each in ordered if each.added}):
+    for robot_id in sorted({report.robot_id for report in ordered if report.added}):
         findings += report_suspicions(ledger, robot_id)
     return Addition(
         ledger=ledger.root,
         settings=settings,
         fixed=fixed,
-        added=tuple(each for each in ordered if each.added),
+        added=tuple(report for report in ordered if report.added),
         skipped=tuple(e for e in ordered if not e.added and e.problem is None),
-        failed=tuple(each for each in ordered if each.problem is not None),
+        failed=tuple(report for report in ordered if report.problem is not None),
         findings=rank_findings([*findings, *ledger.findings]),
         seconds=time.monotonic() - began,
         dashboard=dashboard,
@@ -306,19 +312,15 @@ def _choose_type_settings(
     for files, owner in owners.items():
         try:
             check_type(ledger, owner, described, name_robot_type(described))
-            outcome = next(workers.run(_choose_from_task, [(described, files, reading, options)]))
-            if outcome.result is None:
-                raise RecordingError(outcome.problem or "")
-            if isinstance(outcome.result, AsbuiltError):
-                raise outcome.result
-            valid = ledger.append_settings(outcome.result)
-            if valid.digest != outcome.result.digest:
-                _check_asked(valid, options)
-            return valid, valid.digest == outcome.result.digest, failed
+            task = (described, files, reading, options)
+            (chosen,) = map(read_outcome, workers.run(_choose_from_task, [task]))
         except RecordingError as problem:
-            failed.append(
-                LogReport(str(files[0]), owner, problem=problem.message, cure=problem.cure)
-            )
+            failed.append(LogReport.of_failure(files, owner, problem))
+            continue
+        valid = ledger.append_settings(chosen)
+        if valid.digest != chosen.digest:
+            _check_asked(valid, options)
+        return valid, valid.digest == chosen.digest, failed
     raise RecordingError(
         f"none of {len(owners)} logs can fix the settings of {described.name}: {failed[0].problem}",
         cure=failed[0].cure,
@@ -327,12 +329,9 @@ def _choose_type_settings(
 
 def _choose_from_task(
     task: tuple[RobotModel, tuple[Path, ...], ReadingOptions, StudyOptions],
-) -> TypeSettings | AsbuiltError:
+) -> TypeSettings:
     described, files, reading, options = task
-    try:
-        return choose_settings(described, [files], reading=reading, options=options)
-    except AsbuiltError as problem:
-        return problem
+    return choose_settings(described, [files], reading=reading, options=options)
 
 
 def _find_copies(

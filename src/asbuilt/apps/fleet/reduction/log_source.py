@@ -14,6 +14,7 @@ from asbuilt.apps.fleet.ledger.settings import (
     LATEST,
     DateSource,
     TypeSettings,
+    convert_to_utc,
     name_robot_type,
 )
 from asbuilt.description import RobotModel
@@ -44,7 +45,7 @@ def hash_sources(paths: Sequence[Path]) -> str:
     """
     digest = hashlib.sha256()
     try:
-        for path in sorted(paths, key=lambda each: each.name):
+        for path in sorted(paths, key=lambda path: path.name):
             for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
                 if file.is_file():
                     with file.open("rb") as stream:
@@ -72,7 +73,7 @@ def read_logs(
     model, (read,) = read_fitted_recordings(
         described, (list(paths),), reading, streamed_from=None if extra else 50e6
     )
-    logged = [each for each in read if not isinstance(each, Samples)]
+    logged = [recording for recording in read if not isinstance(recording, Samples)]
     if len(logged) < len(read):
         raise RecordingError(f"{paths[0]} holds samples, not a recording", file=str(paths[0]))
     return model, logged
@@ -96,18 +97,14 @@ def parse_date(text: str) -> datetime:
 
 
 def _check_date(date: datetime) -> datetime:
-    """Return a date of a log; raises `RecordingError` beyond those that a clock can have."""
-    if EARLIEST <= convert_to_utc(date) < LATEST:
+    """Return a date of a log in UTC; raises `RecordingError` beyond those that a clock can have."""
+    date = convert_to_utc(date)
+    if EARLIEST <= date < LATEST:
         return date
     raise RecordingError(
         f"the log has the date {date.date()}, which is not between {EARLIEST:%Y} and {LATEST:%Y}",
         cure=Cure("give the date", {"date": "DATE"}),
     )
-
-
-def convert_to_utc(date: datetime) -> datetime:
-    """Return a date in UTC, which one without time zone is in already."""
-    return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
 
 
 def find_date_in_name(path: Path) -> datetime | None:
@@ -144,7 +141,7 @@ def choose_log_date(
     if given is not None:
         return _check_date(given), "given"
     if in_sheet is not None:
-        return _check_date(convert_to_utc(in_sheet)), "sheet"
+        return _check_date(in_sheet), "sheet"
     if EARLIEST.timestamp() < recording.started < LATEST.timestamp():
         began = recording.started + float(recording.t[0])
         return datetime.fromtimestamp(round(began, 3), UTC), "stamps"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from asbuilt.apps.fleet.reduction.log_source import choose_log_date, hash_source
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
+from asbuilt.executor import Outcome
 from asbuilt.experiment import (
     ReadingOptions,
     Recording,
@@ -32,6 +35,8 @@ from asbuilt.identification import (
     SquareRootInformation,
     accumulate_stream,
 )
+
+Result = TypeVar("Result")
 
 # Hold how a log is reduced, and when it differs from the logs of its type.
 
@@ -99,31 +104,43 @@ class LogReport:
     cure: Cure | None = None
     findings: tuple[Finding, ...] = ()
 
+    @classmethod
+    def of_failure(cls, paths: Sequence[Path], robot_id: str, problem: AsbuiltError) -> LogReport:
+        """Return the report of a recording that has no entry."""
+        return cls(str(paths[0]), robot_id, problem=problem.message, cure=problem.cure)
+
+
+def read_outcome(outcome: Outcome[Any, Result]) -> Result:
+    """Return what a worker returned; raise its error, or `RecordingError` if it was lost."""
+    if outcome.result is None:
+        raise outcome.error or RecordingError(outcome.problem or "it failed")
+    return outcome.result
+
 
 def reduce_log(task: LogTask) -> LogReport:
-    """Reduce a recording and append its entry, unless it is in the ledger already."""
+    """Reduce a recording and append its entry, unless it is in the ledger already.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, does not fit the type, has errors or no date.
+    """
     log = str(task.paths[0])
-    try:
-        ledger = _open_root(task.ledger)
-        settings = _read_settings(task.ledger, task.settings_path)
-        digest = hash_sources(task.paths)
-        known = ledger.names(task.robot_id)
-        own = (digest[:DIGITS], settings.digest)
-        for name in known:
-            if (name.source, name.settings) == own and ledger.is_sound(name):
-                return LogReport(log, task.robot_id, name)
-        if any(name.settings != settings.digest for name in known):
-            check_type(ledger, task.robot_id, settings.described, settings.robot_type)
-        entry, findings = reduce_to_entry(task, settings, digest)
-        name = ledger.append(entry)
-    except AsbuiltError as problem:
-        return LogReport(log, task.robot_id, problem=problem.message, cure=problem.cure)
-    except (OSError, MemoryError) as problem:
-        return LogReport(log, task.robot_id, problem=f"{type(problem).__name__}: {problem}")
+    ledger = _open_root(task.ledger)
+    settings = _read_settings(task.ledger, task.settings_path)
+    digest = hash_sources(task.paths)
+    known = ledger.names(task.robot_id)
+    own = (digest[:DIGITS], settings.digest)
+    for name in known:
+        if (name.source, name.settings) == own and ledger.is_sound(name):
+            return LogReport(log, task.robot_id, name)
+    if any(name.settings != settings.digest for name in known):
+        check_type(ledger, task.robot_id, settings.described, settings.robot_type)
+    entry, findings = reduce_to_entry(task, settings, digest)
     return LogReport(
         log,
         task.robot_id,
-        name,
+        ledger.append(entry),
         added=True,
         n_samples=entry.information.n_samples,
         seconds=entry.duration,
@@ -134,13 +151,7 @@ def reduce_log(task: LogTask) -> LogReport:
 def reduce_to_entry(
     task: LogTask, settings: TypeSettings, digest: str
 ) -> tuple[Entry, tuple[Finding, ...]]:
-    """Return the entry of a recording, and its findings.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be read, does not fit the type, has errors or no date.
-    """
+    """Return the entry of a recording, and its findings; raises as `reduce_log` does."""
     first = task.paths[0]
     model, (logged, *_) = read_logs(settings.described, task.paths, task.reading)
     head = head_of(logged)
@@ -253,8 +264,8 @@ def _read_settings(root: str, path: str) -> TypeSettings:
 def check_type(ledger: Ledger, robot_id: str, described: RobotModel, robot_type: str) -> None:
     """Raise `RecordingError` if the ledger has a robot of another type under this identity."""
     known = {name.settings for name in ledger.names(robot_id)}
-    types = {setting.digest: setting for setting in ledger.all_settings()} if known else {}
-    for other in (types[digest] for digest in sorted(known & types.keys())):
+    settings = ledger.all_settings() if known else {}
+    for other in (settings[digest] for digest in sorted(known & settings.keys())):
         if other.robot_type != robot_type:
             raise RecordingError(
                 f"{robot_id} is a {other.model.name} ({other.robot_type}) in the ledger, not a"

@@ -22,8 +22,8 @@ from asbuilt.apps.fleet.reduction.add import (
     run_tasks,
 )
 from asbuilt.apps.fleet.reduction.log_source import choose_settings, hash_sources
-from asbuilt.apps.fleet.reduction.log_task import LogReport, LogTask
-from asbuilt.errors import UsageError
+from asbuilt.apps.fleet.reduction.log_task import LogReport, LogTask, read_outcome
+from asbuilt.errors import AsbuiltError, RecordingError, UsageError
 from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment import ReadingOptions
 from asbuilt.findings import Cure
@@ -81,7 +81,7 @@ def rebuild_ledger(
     renewed = []
     types = opened.types()
     with open_workers(fleet.workers, fleet.scheduler) as workers:
-        by_type, reports = _group_by_type(opened, types, workers, group_recording_files(logs))
+        by_type, reports = _group_by_type(opened, workers, group_recording_files(logs))
         for robot_type, items in sorted(by_type.items()):
             settings = _renew_settings(types[robot_type], items, reading, options)
             renewed.append(settings)
@@ -112,33 +112,33 @@ def rebuild_ledger(
 
 def _group_by_type(
     ledger: Ledger,
-    types: dict[str, TypeSettings],
     workers: Workers,
     recordings: Sequence[tuple[Path, ...]],
 ) -> tuple[dict[str, list[tuple[tuple[Path, ...], EntryName]]], list[LogReport]]:
     """Return the logs of each type with the entry of each, and reports of those without."""
-    type_of = {setting.digest: setting.robot_type for setting in ledger.all_settings()}
+    settings = ledger.all_settings()
     entry_of = {
         name.source: name
         for robot_id in ledger.robot_ids()
         for name in ledger.names(robot_id)
-        if name.settings in type_of
+        if name.settings in settings
     }
     found: dict[str, list[tuple[tuple[Path, ...], EntryName]]] = {}
     failed = []
     for outcome in workers.run(hash_sources, recordings):
         files = outcome.task
-        digest = outcome.result
-        name = entry_of.get((digest or "")[:DIGITS])
-        if name is not None and type_of[name.settings] in types:
-            found.setdefault(type_of[name.settings], []).append((files, name))
-            continue
-        problem, cure = (
-            (f"{files[0]} is not in the ledger", Cure("add it", call="add_logs"))
-            if files[0].exists()
-            else (f"{files[0]} does not exist", Cure("give the logs by their paths"))
-        )
-        failed.append(LogReport(str(files[0]), "", problem=outcome.problem or problem, cure=cure))
+        try:
+            name = entry_of.get(read_outcome(outcome)[:DIGITS])
+            if name is not None:
+                found.setdefault(settings[name.settings].robot_type, []).append((files, name))
+                continue
+            if files[0].exists():
+                cure = Cure("add it", call="add_logs")
+                raise RecordingError(f"{files[0]} is not in the ledger", cure=cure)
+            cure = Cure("give the logs by their paths")
+            raise RecordingError(f"{files[0]} does not exist", cure=cure)
+        except AsbuiltError as problem:
+            failed.append(LogReport.of_failure(files, "", problem))
     for items in found.values():
         items.sort()
     return found, failed
@@ -168,8 +168,5 @@ def _renew_settings(
 
 def _read_given_date(ledger: Ledger, name: EntryName) -> datetime | None:
     """Return the date of an entry if it was given, since the log does not say it."""
-    for settings in ledger.all_settings():
-        if settings.digest == name.settings:
-            entry = ledger.read(name, settings)
-            return entry.date if entry is not None and entry.date_from == "given" else None
-    return None
+    entry = ledger.read(name, ledger.all_settings()[name.settings])
+    return entry.date if entry is not None and entry.date_from == "given" else None

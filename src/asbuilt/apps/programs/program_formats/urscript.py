@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from asbuilt.apps.programs.format import (
     DRY_RUN_SLOWDOWN,
     PROGRAM_FORMATS,
@@ -132,10 +134,12 @@ class UrScriptFormat(ProgramFormat):
 
 def _write_recipe(request: ProgramRequest) -> str:
     fields = "\n".join(f'    <field name="{name}" type="VECTOR6D"/>' for name in FIELDS)
-    comment = (
-        f"What to record of motion {make_plain_text(request.name)}, for Universal Robots' RTDE"
-        " client"
-        " library".replace("--", "- -")
+    name = make_plain_text(request.name)
+    # No two hyphens together in a comment of XML.
+    comment = re.sub(
+        "-(?=-)",
+        "- ",
+        f"What to record of motion {name}, for Universal Robots' RTDE client library",
     )
     return (
         f'<?xml version="1.0"?>\n<!-- {comment} -->\n<rtde_config>\n  <recipe key="out">\n'

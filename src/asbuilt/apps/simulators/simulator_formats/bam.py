@@ -41,8 +41,8 @@ class Bam(SimulatorFormat):
         negative = sorted(
             {
                 key
-                for each in sets.values()
-                for key, value in each.items()
+                for parameters in sets.values()
+                for key, value in parameters.items()
                 if isinstance(value, float) and value < 0.0
             }
         )
@@ -59,7 +59,10 @@ class Bam(SimulatorFormat):
             "BAM has one Stribeck velocity and power for all terms: the first term's is"
             f" written for {', '.join(uneven)}": bool(uneven),
         }
-        text = json.dumps({name: each | late for name, each in sets.items()}, indent=2) + "\n"
+        text = (
+            json.dumps({name: parameters | late for name, parameters in sets.items()}, indent=2)
+            + "\n"
+        )
         return text, (
             *drives.left_out("BAM", carried=CARRIED, delay=True, gains=False),
             *(note for note, holds in own.items() if holds),
@@ -138,7 +141,7 @@ def _split_by_direction(terms: Any) -> dict[str, float]:
 def _is_uneven(joint: Joint) -> bool:
     """Whether the fading terms of a joint have different velocities or powers."""
     fading = [joint.drive.terms[key] for key in FADING if key in joint.drive.terms]
-    return len({(each["velocity"], each["power"]) for each in fading}) > 1
+    return len({(term["velocity"], term["power"]) for term in fading}) > 1
 
 
 SIMULATOR_FORMATS.register("bam", Bam())

@@ -102,7 +102,7 @@ def _choose_actuator(drives: ExportedDrives) -> tuple[str, str]:
     servo = drives.result.servo
     if servo is not None and np.all(servo.falling) and len(set(servo.torque_limit)) == 1:
         speeds = zip(drives.model.joint_names, servo.no_load_speed, strict=True)
-        listed = ", ".join(f"{re.escape(name)!r}: {each!r}" for name, each in speeds)
+        listed = ", ".join(f"{re.escape(name)!r}: {speed!r}" for name, speed in speeds)
         return "DCMotorCfg", MOTOR.format(effort=servo.torque_limit[0], speeds=f"{{{listed}}}")
     if drives.delay:
         return "DelayedPDActuatorCfg", DELAYED

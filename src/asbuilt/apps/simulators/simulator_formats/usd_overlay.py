@@ -100,7 +100,7 @@ def _write_over(
 
 
 def _write_tuple(values: object) -> str:
-    return f"({', '.join(repr(float(each)) for each in np.ravel(np.asarray(values)))})"
+    return f"({', '.join(repr(float(value)) for value in np.ravel(np.asarray(values)))})"
 
 
 def make_prim_name(name: str) -> str:

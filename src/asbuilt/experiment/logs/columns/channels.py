@@ -12,6 +12,7 @@ from asbuilt.description.joint_matching import split_words
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.gravity_load import CLEAR_LOAD, match_load
 from asbuilt.experiment.logs.columns.roles import Role, parse_unit_scale
+from asbuilt.experiment.logs.sheet import RecordingSheet
 
 SENSOR_WORDS = {"sensor", "sensors", "sm", "sns", "meas", "measured", "msr", "ft"}
 MODEL_WORDS = {"model", "computed", "calc", "calculated", "dyn", "gravity", "ideal", "est", "hat"}
@@ -47,7 +48,51 @@ def _name_channel(role: Role) -> str:
     return role.column.replace(role.joint, "*") if role.joint else role.column
 
 
-def choose_channel(
+def choose_channels(
+    groups: dict[tuple[str, str], list[Role]],
+    columns: Mapping[str, Array],
+    model: RobotModel | None,
+    sheet: RecordingSheet,
+) -> list[str]:
+    """Keep one channel of each quantity that has several, and return what was chosen."""
+    notes = []
+    count = None if model is None else model.n_joints + len(model.followers)
+    listed = sheet.columns.by_group
+    for key in sorted(groups, key=lambda key: key[0] != "position"):
+        quantity, kind = key
+        if quantity == "time" or kind == "sheet" or key in listed or not groups[key]:
+            continue
+        positions = groups.get(("position", ""), [])
+        known = len(positions) if quantity != "position" and positions else count
+        groups[key], note = _choose_channel(quantity, groups[key], known, columns, model, positions)
+        notes += [note] if note else []
+    return notes
+
+
+def name_alike(chosen: Mapping[str, list[Role]], sheet: RecordingSheet) -> None:
+    """Let columns that count joints count them alike, as `u_torque_1` beside `y_angle_1`.
+
+    Where the names of a quantity are not the positions' joints, and both differ in their number
+    alone, the number says the joint.
+    """
+    places = {role.index: role.joint for role in chosen["position"]}
+    counted = None not in places and len(places) == len(chosen["position"])
+    stems = {_strip_number(role.joint) for role in chosen["position"]}
+    if not counted or len(stems) > 1 or isinstance(sheet.joints, list):
+        return
+    for quantity, group in chosen.items():
+        own = {role.index for role in group}
+        alone = {_strip_number(role.joint) for role in group}
+        joints = {role.joint for role in group}
+        if len(alone) == 1 and own == set(places) and joints != set(places.values()):
+            chosen[quantity][:] = [replace(role, joint=places[role.index]) for role in group]
+
+
+def _strip_number(joint: str) -> str:
+    return joint.rstrip("0123456789")
+
+
+def _choose_channel(
     quantity: str,
     group: Sequence[Role],
     n_joints: int | None,

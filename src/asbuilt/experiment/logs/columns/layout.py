@@ -15,7 +15,7 @@ from asbuilt.description.joint_matching import (
 )
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.channels import choose_channel
+from asbuilt.experiment.logs.columns.channels import choose_channels, name_alike
 from asbuilt.experiment.logs.columns.roles import (
     GOALS,
     PARTS,
@@ -117,7 +117,7 @@ def find_layout(
     for (quantity, kind), listed in sheet.columns.by_group.items():
         groups[quantity, kind] = _group_listed_columns(table, quantity, listed, sheet)
     groups = {key: group for key, group in groups.items() if group}
-    chosen_channels = _choose_channels(groups, table, model, sheet)
+    chosen_channels = choose_channels(groups, table.columns, model, sheet)
     measured = next((key for key in _TORQUES if key in groups), None)
     position = groups.get(("position", ""))
     command = groups.get(("command", ""))
@@ -128,9 +128,8 @@ def find_layout(
             for what, group in (("joint positions", position), ("joint torques", torque or command))
             if group is None
         )
-        listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
         raise RecordingError(
-            f"{source} has no columns for {absent}. Its columns are: {listing}",
+            f"{source} has no columns for {absent}. Its columns are: {_join_many(names)}",
             cure=Cure(
                 "name them in a recording sheet next to the log: [columns] position ="
                 ' ["..."], torque = ["..."]; usual names are q_1, position_1, <joint>_pos and'
@@ -150,7 +149,7 @@ def find_layout(
     notes = list(chosen_channels)
     if torque is None:
         notes += _leave_out_uncommanded(chosen, groups["command", ""])
-    _name_alike(chosen, sheet)
+    name_alike(chosen, sheet)
     labels = _sort_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
     for quantity in [each for each in chosen if each != "position"]:
@@ -192,52 +191,6 @@ def find_layout(
     )
 
 
-def _choose_channels(
-    groups: dict[tuple[str, str], _Group],
-    table: LogTable,
-    model: RobotModel | None,
-    sheet: RecordingSheet,
-) -> list[str]:
-    """Keep one channel of each quantity that has several, and return what was chosen."""
-    notes = []
-    count = None if model is None else model.n_joints + len(model.followers)
-    listed = sheet.columns.by_group
-    for key in sorted(groups, key=lambda key: key[0] != "position"):
-        quantity, kind = key
-        if quantity == "time" or kind == "sheet" or key in listed or not groups[key]:
-            continue
-        positions = groups.get(("position", ""), [])
-        known = len(positions) if quantity != "position" and positions else count
-        groups[key], note = choose_channel(
-            quantity, groups[key], known, table.columns, model, positions
-        )
-        notes += [note] if note else []
-    return notes
-
-
-def _name_alike(chosen: dict[str, _Group], sheet: RecordingSheet) -> None:
-    """Let columns that count joints count them alike, as `u_torque_1` beside `y_angle_1`.
-
-    Where the names of a quantity are not the positions' joints, and both differ in their number
-    alone, the number says the joint.
-    """
-    places = {role.index: role.joint for role in chosen["position"]}
-    counted = None not in places and len(places) == len(chosen["position"])
-    stems = {_strip_number(role.joint) for role in chosen["position"]}
-    if not counted or len(stems) > 1 or isinstance(sheet.joints, list):
-        return
-    for quantity, group in chosen.items():
-        own = {role.index for role in group}
-        alone = {_strip_number(role.joint) for role in group}
-        joints = {role.joint for role in group}
-        if len(alone) == 1 and own == set(places) and joints != set(places.values()):
-            chosen[quantity][:] = [replace(role, joint=places[role.index]) for role in group]
-
-
-def _strip_number(joint: str) -> str:
-    return joint.rstrip("0123456789")
-
-
 def _leave_out_uncommanded(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
     """Leave out joints that no command is logged for, such as a gripper's, and say so."""
     commanded = {role.joint for role in command}
@@ -259,10 +212,10 @@ def _refuse_unscaled(
     with the masses.
     """
     role = torque[0]
-    limits = [] if model is None else [joint.limits.torque for joint in model.joints]
-    stated = len(limits) == len(torque) and all(math.isfinite(limit) for limit in limits)
-    gains = [float(f"{PARTS[role.unit] * limit:.4g}") for limit in limits if role.unit in PARTS]
     if role.kind == "unscaled" and sheet.gains is None and sheet.units.torque is None:
+        limits = [] if model is None else [joint.limits.torque for joint in model.joints]
+        gains = [float(f"{PARTS[role.unit] * limit:.4g}") for limit in limits if role.unit in PARTS]
+        stated = len(limits) == len(torque) and all(map(math.isfinite, limits))
         raise RecordingError(
             f"{source}: the {role.quantity} columns ({role.column}, ...) are in {role.unit},"
             " which does not say how many N m they are",
@@ -374,12 +327,8 @@ def find_column(table: LogTable, what: str, column: ColumnName) -> str:
     source = table.source
     names = tuple(table.columns)
     counted = table.order or names
-    numbered = isinstance(column, int)
-    inside = isinstance(column, int) and 1 <= column <= len(counted)
-    name = counted[int(column) - 1] if inside else str(column)
     given = f"{source}: the sheet gives column {column!r}"
-    listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
-    if numbered and not inside:
+    if isinstance(column, int) and not 1 <= column <= len(counted):
         raise RecordingError(
             f"{given} for {what}, but columns run from 1 to {len(counted)}",
             file=source,
@@ -387,37 +336,42 @@ def find_column(table: LogTable, what: str, column: ColumnName) -> str:
             lower=1,
             upper=len(counted),
         )
-    if numbered and name not in names:
+    name = counted[column - 1] if isinstance(column, int) else column
+    if name in names:
+        return name
+    if isinstance(column, int):
         raise RecordingError(
             f"{given} ({name!r}) for {what}, which holds text in place of numbers",
             cure=Cure("count the columns of the file from 1, text columns too"),
             file=source,
             value=column,
         )
-    if name not in names:
-        raise RecordingError(
-            f"{given} for {what}, which the log does not have; it has {listing}",
-            file=source,
-            value=column,
-            available=list(names),
-        )
-    return name
+    raise RecordingError(
+        f"{given} for {what}, which the log does not have; it has {_join_many(names)}",
+        file=source,
+        value=column,
+        available=list(names),
+    )
+
+
+def _join_many(names: Sequence[str]) -> str:
+    return ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
 
 
 def _group_listed_columns(
     table: LogTable, what: str, columns: Sequence[ColumnName], sheet: RecordingSheet
 ) -> _Group:
     """Return the columns that a sheet lists for a quantity."""
-    found = [find_column(table, what, column) for column in columns]
     source = table.source
+    found = [find_column(table, what, column) for column in columns]
     repeated = next((name for name in found if found.count(name) > 1), None)
-    labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
     if repeated is not None:
         raise RecordingError(
             f"{source}: the sheet gives column {repeated!r} twice for {what}",
             file=source,
             value=repeated,
         )
+    labels = sheet.joints if isinstance(sheet.joints, list) and sheet.joints else [""] * len(found)
     if len(labels) != len(found):
         raise RecordingError(
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
@@ -439,64 +393,62 @@ def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingShee
     If some columns name a joint, numbers are the names of the rest. Raises `RecordingError` if two
     columns are one joint's, a number is missing, or the sheet lists other joints.
     """
-    choose = Cure(f"choose in a recording sheet: [columns] {quantity} = [...]")
     places = [(role.joint, None if role.joint else role.index) for role in group]
-    for k, place in enumerate(places):
-        if (first := places.index(place)) < k:
-            pair = [group[first].column, group[k].column]
-            raise RecordingError(
-                f"{source}: columns {pair[0]!r} and {pair[1]!r} both look like the {quantity} of"
-                " the same joint",
-                cure=choose,
-                file=source,
-                value=pair,
-            )
+    second = next((k for k, place in enumerate(places) if place in places[:k]), None)
+    if second is not None:
+        pair = [group[places.index(places[second])].column, group[second].column]
+        raise RecordingError(
+            f"{source}: columns {pair[0]!r} and {pair[1]!r} both look like the {quantity} of the"
+            " same joint",
+            cure=Cure(f"choose in a recording sheet: [columns] {quantity} = [...]"),
+            file=source,
+            value=pair,
+        )
     listed = sheet.joints if isinstance(sheet.joints, list) else None
     if listed is None and any(role.joint for role in group):
         group[:] = [
             role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
             for role in group
         ]
-    labels = [role.joint for role in group]
-    named = all(role.joint for role in group)
-    differ = sorted(map(split_words, labels)) != sorted(map(split_words, listed or ()))
-    if not named:
-        group.sort(key=lambda role: (role.index is not None, role.index or 0))
+    if all(role.joint for role in group):
+        labels = [role.joint for role in group]
+        if listed and sorted(map(split_words, labels)) != sorted(map(split_words, listed)):
+            raise RecordingError(
+                f"{source}: the sheet lists the joints {', '.join(listed)}, but the {quantity}"
+                f" columns name theirs, {', '.join(labels)}",
+                cure=Cure(
+                    "give the robot's name of each joint of the log in its place: [joints] with"
+                    f' "{labels[0]}" = "..." and so on'
+                ),
+                file=source,
+                value=listed,
+                expected=labels,
+            )
+        return labels
+    group.sort(key=lambda role: (role.index is not None, role.index or 0))
     numbers = [role.index for role in group if role.index is not None]
     whole = range(int(0 not in numbers), max(numbers) + 1) if len(numbers) == len(group) else ()
-    missing = [k for k in whole if k not in numbers and not named]
-    columns = ", ".join(_list_columns(group))
-    if named and listed is not None and differ:
+    missing = next((k for k in whole if k not in numbers), None)
+    if missing is not None:
+        columns = _list_columns(group)
         raise RecordingError(
-            f"{source}: the sheet lists the joints {', '.join(listed or ())}, but the {quantity}"
-            f" columns name theirs, {', '.join(labels)}",
-            cure=Cure(
-                "give the robot's name of each joint of the log in its place: [joints] with"
-                f' "{labels[0]}" = "..." and so on'
-            ),
-            file=source,
-            value=listed,
-            expected=labels,
-        )
-    if missing:
-        raise RecordingError(
-            f"{source}: the {quantity} column of joint number {(*missing, 0)[0]} is missing; there"
-            f" are {columns}",
+            f"{source}: the {quantity} column of joint number {missing} is missing; there are"
+            f" {', '.join(columns)}",
             cure=Cure(
                 f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
             ),
             file=source,
-            available=_list_columns(group),
+            available=columns,
         )
-    if not named and listed is not None and len(listed) != len(group):
+    if listed and len(listed) != len(group):
         raise RecordingError(
-            f"{source}: the sheet names {len(listed or ())} joints but the log has {len(group)}"
+            f"{source}: the sheet names {len(listed)} joints but the log has {len(group)}"
             f" {quantity} columns",
             file=source,
             value=len(group),
-            expected=len(listed or ()),
+            expected=len(listed),
         )
-    return labels if named else listed or [f"joint_{k}" for k in range(1, len(group) + 1)]
+    return listed or [f"joint_{k}" for k in range(1, len(group) + 1)]
 
 
 def _align_columns(

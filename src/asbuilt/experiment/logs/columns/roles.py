@@ -148,38 +148,40 @@ PARTS = {
 _NO_FACTOR = {*PARTS, "count", "counts", "tick", "ticks"}
 """Units that another quantity, such as the rated torque, has to turn into SI."""
 _SENSOR = {"sensor", "sensors"}
-_UNITS: dict[str, float] = {
-    **dict.fromkeys(("rad", "m", "s", "sec", "n", "nm", "n m", "n*m", "n.m", "a"), 1.0),
-    **dict.fromkeys(("deg", "degree", "degrees", "grad", "°"), math.pi / 180),
-    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
-    "rpm": math.pi / 30,
-    **dict.fromkeys(("mrad", "mm", "ms", "mnm", "mn m", "ma"), 1e-3),
-    **dict.fromkeys(("us", "µs"), 1e-6),
-    **dict.fromkeys(("knm", "kn m"), 1e3),
-    **dict.fromkeys(("ncm", "n cm"), 1e-2),
-    **dict.fromkeys(("nmm", "n mm"), 1e-3),
-    **dict.fromkeys(("kgcm", "kg cm", "kgfcm", "kgf cm", "kgf.cm"), 9.80665e-2),
-    **dict.fromkeys(("kgm", "kgfm", "kgf m", "kgf.m"), 9.80665),
-    **dict.fromkeys(("ozin", "oz in"), 7.0615518e-3),
-    **dict.fromkeys(("lbin", "lb in", "lbf in"), 0.11298483),
-    **dict.fromkeys(("lbft", "lb ft", "ftlb", "ft lb", "lbf ft"), 1.3558179),
-    "ns": 1e-9,
-}
+_UNIT_TABLE: tuple[tuple[Quantity | None, float, str], ...] = (
+    ("time", 1.0, "s,sec"),
+    ("time", 1e-3, "ms"),
+    ("time", 1e-6, "us,µs"),
+    ("time", 1e-9, "ns"),
+    ("position", 1.0, "rad"),
+    ("position", 1e-3, "mrad"),
+    ("position", math.pi / 180, "deg,degree,degrees,grad,°"),
+    ("position", 2 * math.pi, "rev,turn,turns"),
+    ("velocity", math.pi / 30, "rpm"),
+    ("torque", 1.0, "nm,n m,n*m,n.m"),
+    ("torque", 1e-3, "mnm,mn m,nmm,n mm"),
+    ("torque", 1e3, "knm,kn m"),
+    ("torque", 1e-2, "ncm,n cm"),
+    ("torque", 9.80665e-2, "kgcm,kg cm,kgfcm,kgf cm,kgf.cm"),
+    ("torque", 9.80665, "kgm,kgfm,kgf m,kgf.m"),
+    ("torque", 7.0615518e-3, "ozin,oz in"),
+    ("torque", 0.11298483, "lbin,lb in,lbf in"),
+    ("torque", 1.3558179, "lbft,lb ft,ftlb,ft lb,lbf ft"),
+    ("current", 1.0, "a"),
+    ("current", 1e-3, "ma"),
+    # Of sliding joints, where they do not say a quantity: m may be a motor, and n a number.
+    (None, 1.0, "m,n"),
+    (None, 1e-3, "mm"),
+)
+"""Spellings of units, their factors to SI, and the quantity of a joint that has each.
+
+An angle per second is a velocity, twice per second an acceleration."""
+_UNITS = {unit: scale for _, scale, units in _UNIT_TABLE for unit in units.split(",")}
+_QUANTITY_OF_UNIT = {unit: what for what, _, units in _UNIT_TABLE for unit in units.split(",")}
+_RATES: tuple[Quantity, ...] = ("position", "velocity", "acceleration")
+"""Quantities of an angle by how often it is per second."""
 _COUNTED = re.compile(r"(\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?)(?:/(\d+(?:\.\d*)?))?\s+([^\d\s].*)")
 """A unit with a number before it, or a part of one: "0.229 rpm", "1/4096 turn"."""
-_TIMES = {"s", "sec", "ms", "us", "µs", "ns"}
-_ANGLES = ("rad", "deg", "degree", "degrees", "grad", "°", "mrad", "rev", "turn")
-_QUANTITY_OF_UNIT: dict[tuple[str, int], Quantity] = {
-    **{(angle, 0): "position" for angle in _ANGLES},
-    **{(angle, 1): "velocity" for angle in _ANGLES},
-    **{(angle, 2): "acceleration" for angle in _ANGLES},
-    **{(unit, 0): "torque" for unit in ("nm", "n m", "n*m", "n.m", "mnm", "mn m", "knm", "kn m")},
-    **{(unit, 0): "torque" for unit in ("nmm", "ncm", "kgcm", "kgfcm", "ozin", "lbin", "lbft")},
-    ("rpm", 0): "velocity",
-    ("a", 0): "current",
-    ("ma", 0): "current",
-}
-"""Quantities of joints by unit, and by how often it is per second."""
 _UNIT_SUFFIX = re.compile(
     r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nmm|ncm|nm|kgf?cm|ozin|lbin|lbft|ms|us|ns|sec|s|ma|rpm)"
     r"(?:_?(?:p|per)?_?(s[2²]?))?"
@@ -383,17 +385,19 @@ def recognise_by_unit(name: str) -> Role | None:
     if not unit or recognise(name) is not None or set(words) & (_DESIRED | _OTHER | _EXTERNAL):
         return None
     kind = unit.lower().split("/")[0].strip()
-    if kind in _TIMES:
+    quantity = _QUANTITY_OF_UNIT.get(kind)
+    if quantity == "time":
         return None if set(words) & _NO_CLOCK else Role("time", scale=_UNITS[kind], unit=unit)
     numbered = [
         int(words[k + 1])
         for k in range(len(words) - 1)
         if words[k] in _JOINT and words[k + 1].isdigit()
     ]
-    quantity = _QUANTITY_OF_UNIT.get((kind, order))
-    if quantity is None or not numbered:
+    if quantity is None or not numbered or (order and quantity != "position"):
         return None
-    return Role(quantity, index=numbered[-1], scale=_UNITS[kind], unit=unit)
+    return Role(
+        _RATES[order] if order else quantity, index=numbered[-1], scale=_UNITS[kind], unit=unit
+    )
 
 
 def parse_file_quantity(stem: str) -> tuple[Quantity | None, str]:
@@ -420,7 +424,7 @@ def _split_unit(name: str) -> tuple[str, int | None, str, int]:
             unit = content.strip()
     bare = re.sub(r"[\[(][^\])]*[\])]", "", name)
     suffix = _UNIT_SUFFIX.search(bare)
-    if suffix and suffix.group(1).lower() in _TIMES:
+    if suffix and _QUANTITY_OF_UNIT[suffix.group(1).lower()] == "time":
         # Baxter's joints are s0 to w2: `ang_left_s0` is no angle in seconds
         rest = _find_quantity(split_words(bare[: suffix.start()]))[0]
         suffix = suffix if rest in (None, "time") else None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence, Set
-from itertools import combinations, pairwise
+from dataclasses import dataclass
+from itertools import combinations, pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,52 @@ DRAFT = (
 """What a sheet looks like, where nothing of it can be guessed."""
 
 
+@dataclass(frozen=True, slots=True)
+class SheetDraft:
+    """Hold the fields of a sheet that values of columns decide.
+
+    `fields` have no `columns` where nothing is decided, and a `rate` of None where one is lacking.
+    `torques` are other columns that may be the torque, and `over` columns follow what was guessed.
+    """
+
+    fields: Mapping[str, Any]
+    torques: Sequence[Any] = ()
+    over: int = 0
+
+    @property
+    def decides(self) -> bool:
+        """Whether the values decide what the columns hold."""
+        return "columns" in self.fields
+
+    @property
+    def certain(self) -> dict[str, Any]:
+        """What is certain of it; {} where nothing is decided."""
+        known = {name: value for name, value in self.fields.items() if value is not None}
+        return known if self.decides else {}
+
+    @property
+    def text(self) -> str:
+        """The text of the sheet; an example of one where nothing is decided."""
+        lines = ["header = false"] if "header" in self.fields else []
+        rate = self.fields.get("rate")
+        if not self.decides:
+            return "\n".join([*lines, *([] if rate is None else [f"rate = {rate:g}"]), DRAFT])
+        columns = self.fields["columns"]
+        if "rate" in self.fields:
+            end = "" if "time" in columns else "  # Hz"
+            lines.append(f"rate = {100 if rate is None else rate:g}{end}")
+        if "units" in self.fields:
+            stated = ", ".join(f'{name} = "{unit}"' for name, unit in self.fields["units"].items())
+            lines.append(f"units = {{ {stated} }}")
+        also = f"  # or {', '.join(map(json.dumps, self.torques))}" if self.torques else ""
+        lines.append("[columns]")
+        for name, span in columns.items():
+            lines.append(f"{name} = {json.dumps(span)}{also if name == 'torque' else ''}")
+        if self.over:
+            lines.append(f"# {self.over} more columns follow")
+        return "\n".join(lines)
+
+
 def suggest_sheet(
     table: LogTable, model: RobotModel | None = None, rate: float | None = None
 ) -> str:
@@ -60,38 +107,36 @@ def suggest_sheet(
     clearly with its gravity torques at the positions, which are degrees if that correlates better;
     without one, the first of the groups left over. `rate` is the sampling rate that was given [Hz].
     """
-    return format_draft(*draft_sheet(table, model, rate))
+    return draft_sheet(table, model, rate).text
 
 
 def draft_sheet(
     table: LogTable, model: RobotModel | None = None, rate: float | None = None
-) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of a sheet that `suggest_sheet` writes, and other torques it may be.
-
-    Without `columns` where the values decide nothing.
-    """
-    order = table.order or tuple(table.columns)
+) -> SheetDraft:
+    """Return the sheet that `suggest_sheet` writes."""
     values = list(table.columns.values())
-    # The sheet counts text columns too.
-    places = [order.index(name) + 1 for name in table.columns]
     time, others = _find_time_column(values)
-    rows = values[0].size if values else 0
+    rows = table.n_samples
     t = np.arange(rows) / (rate or 1.0) if time is None else values[time]
     if time is not None and np.any(np.diff(t) < 0):
-        order_of_time = np.argsort(t, kind="stable")
-        t = t[order_of_time]
-        values = [column[order_of_time] for column in values]
+        in_order = np.argsort(t, kind="stable")
+        t = t[in_order]
+        values = [column[in_order] for column in values]
     rest = [values[k] for k in others]
     n_joints = _count_joints_by_derivative(rest, t) if model is None else model.n_joints
-    content: dict[str, Any] = {} if table.named else {"header": False}
-    if rate is not None:
-        content["rate"] = rate
+    fields: dict[str, Any] = {} if table.named else {"header": False}
+    if time is None or rate is not None:
+        fields["rate"] = rate
     fits = n_joints and 2 * n_joints <= len(rest) <= MOST_QUANTITIES * n_joints
     if not n_joints or not fits or rows < 2:
-        return content, []
+        return SheetDraft(fields)
+    # The sheet counts text columns too.
+    order = table.order or tuple(table.columns)
+    places = [order.index(name) + 1 for name in table.columns]
     begins = range(0, len(rest) - n_joints + 1, n_joints)
+    members = [others[k : k + n_joints] for k in begins]
     groups = [np.column_stack(rest[k : k + n_joints]) for k in begins]
-    spans = [_format_span([places[j] for j in others[k : k + n_joints]]) for k in begins]
+    spans = [_write_span([places[j] for j in group]) for group in members]
     units: dict[str, str] = {}
     if time is not None and (unit := _guess_time_unit(t)) != "s":
         units["time"] = unit
@@ -99,8 +144,8 @@ def draft_sheet(
     names = list(table.columns)
     torques_by_name = {
         i
-        for i, k in enumerate(begins)
-        if table.named and all(_is_torque(names[j]) for j in others[k : k + n_joints])
+        for i, group in enumerate(members)
+        if table.named and all(_is_torque(names[j]) for j in group)
     }
     position, command, velocity, torques, degrees = _assign_roles(t, groups, model, torques_by_name)
     # Whole numbers are counts, of which the check finds the unit.
@@ -108,16 +153,13 @@ def draft_sheet(
         units |= dict.fromkeys(["position"] if command is None else ["position", "command"], "deg")
     if velocity is not None:
         ratio = _measure_ratio(t, groups[position], groups[velocity])
-    if time is None and rate is None:
-        found = None
-        if velocity is not None:
-            found = _estimate_rate(groups[position], groups[velocity], degrees)
-        content["rate"] = found
-        ratio = 0.0 if velocity is None else ratio / (found or 1.0)
-    if velocity is not None and ratio > (RADIANS_ARE_LESS if degrees else DEGREES_ARE_MORE):
-        units["velocity"] = "deg/s"
+        if time is None and rate is None:
+            fields["rate"] = _estimate_rate(groups[position], groups[velocity], degrees)
+            ratio /= fields["rate"] or 1.0
+        if ratio > (RADIANS_ARE_LESS if degrees else DEGREES_ARE_MORE):
+            units["velocity"] = "deg/s"
     if units:
-        content["units"] = units
+        fields["units"] = units
     entries = {
         "time": None if time is None else places[time],
         "position": spans[position],
@@ -125,48 +167,9 @@ def draft_sheet(
         "command": None if command is None else spans[command],
         "torque": spans[torques[0]] if torques else None,
     }
-    content["columns"] = {name: entry for name, entry in entries.items() if entry is not None}
+    fields["columns"] = {name: entry for name, entry in entries.items() if entry is not None}
     over = len(rest) - n_joints * len(groups)
-    if over:
-        content["over"] = over
-    return content, [spans[k] for k in torques[1:]]
-
-
-def name_fields(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is certain of a draft as fields of a sheet, {} where it has no columns."""
-    if "columns" not in content:
-        return {}
-    found = {name: value for name, value in content.items() if name != "over" and value is not None}
-    spans = content["columns"].items()
-    return {**found, "columns": {name: _read_span(span) for name, span in spans}}
-
-
-def _read_span(span: Any) -> Any:
-    """Return the column or columns that the text of a span stands for in a sheet."""
-    return json.loads(span) if isinstance(span, str) else span
-
-
-def format_draft(content: Mapping[str, Any], alternatives: Sequence[str]) -> str:
-    """Return the text of a sheet that `draft_sheet` found."""
-    lines = ["header = false"] if "header" in content else []
-    if "columns" not in content:
-        rate = content.get("rate")
-        return "\n".join([*lines, *([] if rate is None else [f"rate = {rate:g}"]), DRAFT])
-    if "rate" in content:
-        found = content["rate"]
-        timed = "time" in content["columns"]
-        end = "" if timed else "  # Hz"
-        lines.append("rate = 100  # Hz" if found is None else f"rate = {found:g}{end}")
-    if "units" in content:
-        stated = ", ".join(f'{name} = "{unit}"' for name, unit in content["units"].items())
-        lines.append(f"units = {{ {stated} }}")
-    also = ", ".join(alternatives)
-    lines.append("[columns]")
-    for name, span in content["columns"].items():
-        lines.append(f"{name} = {span}" + (f"  # or {also}" if name == "torque" and also else ""))
-    if "over" in content:
-        lines.append(f"# {content['over']} more columns follow")
-    return "\n".join(lines)
+    return SheetDraft(fields, [spans[k] for k in torques[1:]], over)
 
 
 def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
@@ -208,12 +211,12 @@ def _counts_rows(values: Array) -> bool:
     return values.size > 2 and values[0] in (0.0, 1.0) and bool(np.all(np.diff(values) == 1.0))
 
 
-def _format_span(places: Sequence[int]) -> str:
-    """Return numbers of columns as a sheet has them: "2-4", or ["2-4", "6-7"] with gaps."""
+def _write_span(places: Sequence[int]) -> Any:
+    """Return numbers of columns as a sheet has them: 2, "2-4", or ["2-4", "6-7"] with gaps."""
     cuts = [0, *(k for k in range(1, len(places)) if places[k] != places[k - 1] + 1), len(places)]
     parts = [(places[begin], places[stop - 1]) for begin, stop in pairwise(cuts)]
-    texts = [f'"{first}-{last}"' if first != last else str(first) for first, last in parts]
-    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+    spans = [f"{first}-{last}" if first != last else first for first, last in parts]
+    return spans[0] if len(spans) == 1 else spans
 
 
 def _guess_time_unit(values: Array) -> str:
@@ -259,7 +262,8 @@ def _assign_roles(
     later; it is none of the other groups. Those of `torques` are torques by their names.
     """
     motions = [k for k in range(len(groups)) if k not in torques]
-    moving = _find_derivative_pair(t, groups, motions)
+    follows = _correlate_derivatives(t, groups)
+    moving = _find_derivative_pair(follows, motions, motions)
     # Difference of two groups, relative to their spread, up to which one is the command of the
     # other.
     close = [
@@ -270,18 +274,18 @@ def _assign_roles(
     ]
     known: int | None = None
     command: int | None = None
-    velocities = _list_derivatives(t, groups, moving)
+    velocities = [] if moving is None else np.flatnonzero(follows[moving[0]] > FOLLOWS).tolist()
     if len(close) == 1:
-        (i, k) = close[0]
+        i, k = close[0]
         # With two velocities, measured and commanded, both positions have a derivative.
-        clear = moving is not None and len(velocities) < 2
-        leads = clear and moving is not None and moving[0] == k
-        if not clear:
-            leads = not _is_later(t, groups[i], groups[k])
-        known, command = (k, i) if leads else (i, k)
+        if moving is not None and len(velocities) < 2:
+            known = k if moving[0] == k else i
+        else:
+            known = i if _is_later(t, groups[i], groups[k]) else k
+        command = k if known == i else i
     rest = [k for k in range(len(groups)) if k != command]
     free = [k for k in rest if k not in torques]
-    pair = _find_derivative_pair(t, groups, free if known is None else [known], free)
+    pair = _find_derivative_pair(follows, free if known is None else [known], free)
     if pair is not None and command is not None and len(velocities) == 2:
         # Measured and commanded quantities stand in the same order.
         pair = (pair[0], velocities[int(pair[0] > command)])
@@ -349,22 +353,21 @@ def _find_largest(values: Array) -> float:
     return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
 
 
+def _correlate_derivatives(t: Array, groups: Sequence[Array]) -> Array:
+    """Return how the derivative of each group (row) is followed by each other one, (K, K)."""
+    found = np.zeros((len(groups), len(groups)))
+    for i, k in permutations(range(len(groups)), 2):
+        found[i, k] = _correlate_derivative(t, groups[i], groups[k])
+    return np.nan_to_num(found)
+
+
 def _find_derivative_pair(
-    t: Array, groups: list[Array], first: Sequence[int], second: Sequence[int] | None = None
+    follows: Array, first: Sequence[int], second: Sequence[int]
 ) -> tuple[int, int] | None:
     """Return the groups of which the second follows the derivative of the first best, if any."""
-    pairs = [(i, k) for i in first for k in (first if second is None else second) if i != k]
-    found = [(_correlate_derivative(t, groups[i], groups[k]), (i, k)) for i, k in pairs]
-    best = max(found, key=lambda each: np.nan_to_num(each[0]), default=(0.0, (0, 0)))
-    return best[1] if best[0] > FOLLOWS else None
-
-
-def _list_derivatives(t: Array, groups: list[Array], moving: tuple[int, int] | None) -> list[int]:
-    """Return the groups that follow the derivative of the positions that move."""
-    if moving is None:
-        return []
-    q = groups[moving[0]]
-    return [k for k in range(len(groups)) if _correlate_derivative(t, q, groups[k]) > FOLLOWS]
+    pairs = ((i, k) for i in first for k in second)
+    best = max(pairs, key=lambda pair: follows[pair], default=None)
+    return best if best is not None and follows[best] > FOLLOWS else None
 
 
 def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:

@@ -6,7 +6,7 @@ import io
 import pickle
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -202,8 +202,8 @@ def read_hdf5(path: Path) -> LogTable:
     items: dict[str, Any] = {}
     variables: dict[str, Array] = {}
     with h5py.File(path, "r") as file:
-        file.visititems_links(_collect_into(links))
-        file.visititems(_collect_into(items))
+        file.visititems_links(links.__setitem__)
+        file.visititems(items.__setitem__)
         for name, link in links.items():
             if isinstance(link, h5py.ExternalLink):
                 raise _make_foreign_error(path, name, f"links to the file {link.filename!r}")
@@ -216,15 +216,6 @@ def read_hdf5(path: Path) -> LogTable:
         for (name, value), last in zip(variables.items(), short, strict=True)
     }
     return tabulate_variables(str(path), named)
-
-
-def _collect_into(found: dict[str, Any]) -> Callable[[str, Any], None]:
-    """Return a visitor of h5py that notes everything by its name."""
-
-    def visit(name: str, item: Any) -> None:
-        found[name] = item
-
-    return visit
 
 
 def _read_dataset(path: Path, name: str, item: Any) -> dict[str, Array]:

@@ -127,8 +127,8 @@ def find_dialect(
         )
         names = commented if named else [str(k) for k in range(1, len(data) + 1)]
     names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    places = ", ".join(str(k) for k, name in enumerate(names, 1) if name in repeated[:1])
+    counts = Counter(names)
+    repeated = next((name for name in names if counts[name] > 1), None)
     if len(names) > MOST_COLUMNS:
         raise RecordingError(
             f"{path} has {len(names)} columns; at most {MOST_COLUMNS} are read",
@@ -136,15 +136,16 @@ def find_dialect(
             value=len(names),
             upper=MOST_COLUMNS,
         )
-    if repeated and not numbered:
+    if repeated is not None and not numbered:
+        places = [str(k) for k, name in enumerate(names, 1) if name == repeated]
         raise RecordingError(
-            f"{path}: the column name {''.join(repeated[:1])!r} appears {places.count(',') + 1}"
-            f" times (columns {places})",
+            f"{path}: the column name {repeated!r} appears {len(places)} times (columns"
+            f" {', '.join(places)})",
             cure=Cure("rename one of them, or number all columns in a recording sheet"),
             file=str(path),
-            value="".join(repeated[:1]),
+            value=repeated,
         )
-    names = [f"{name} ({k})" if name in repeated else name for k, name in enumerate(names, 1)]
+    names = [f"{name} ({k})" if counts[name] > 1 else name for k, name in enumerate(names, 1)]
     text = tuple(
         name
         for name, cell in itertools.zip_longest(names, data, fillvalue="")
@@ -363,29 +364,27 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
     return replace(_make_header(path, dialect), columns=columns)
 
 
+def _find_no_text(start: bytes) -> tuple[str, Cure | None] | None:
+    """Return why a file that begins so is no table of text, and what to do; None if it may be."""
+    for magic, (packed, cure) in _PACKED.items():
+        if start.startswith(magic):
+            return f"it holds {packed}", Cure(cure)
+    if b"\r" in start and b"\n" not in start:
+        return "its lines end in a carriage return alone", Cure("save it with line feeds")
+    if b"\0" in start:
+        return "it holds binary data, not text", None
+    begins = start.lstrip()[:20].decode("utf-8", "replace")
+    if begins.lower().startswith(("<!doctype", "<html", "<?xml", "<robot", "{")):
+        return f"it starts with {begins!r}, not a table of numbers", None
+    return None
+
+
 def _read_first_lines(path: Path) -> list[str]:
     with path.open("rb") as file:
         start = file.read(4096)
-    packed, cure = next(
-        (what for magic, what in _PACKED.items() if start.startswith(magic)), ("", "")
-    )
-    begins = start.lstrip()[:20].decode("utf-8", "replace")
-    for fault, what, way_out in (
-        (packed, f"it holds {packed}", Cure(cure)),
-        (
-            b"\r" in start and b"\n" not in start,
-            "its lines end in a carriage return alone",
-            Cure("save it with line feeds"),
-        ),
-        (b"\0" in start, "it holds binary data, not text", None),
-        (
-            begins.lower().startswith(("<!doctype", "<html", "<?xml", "<robot", "{")),
-            f"it starts with {begins!r}, not a table of numbers",
-            None,
-        ),
-    ):
-        if fault:
-            raise RecordingError(f"{path} is not a recording: {what}", cure=way_out, file=str(path))
+    if problem := _find_no_text(start):
+        what, cure = problem
+        raise RecordingError(f"{path} is not a recording: {what}", cure=cure, file=str(path))
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = [file.readline(LONGEST_LINE) for _ in range(FIRST_LINES)]
     if any(len(line) == LONGEST_LINE for line in lines):

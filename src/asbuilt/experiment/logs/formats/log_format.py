@@ -204,6 +204,16 @@ def hold_last(times: NDArray[Any], sent: NDArray[Any], values: Array) -> tuple[A
     return values[np.maximum(last, 0)], [note] if before else []
 
 
+def measure_gaps(at: NDArray[Any], t: NDArray[Any]) -> NDArray[Any]:
+    """Return how far the samples at rising times t (M,) are apart around other times, shape (N,).
+
+    >>> measure_gaps(np.array([0.5, 2.0, 9.0]), np.array([0.0, 1.0, 4.0])).tolist()
+    [1.0, 3.0, 3.0]
+    """
+    after = np.clip(np.searchsorted(t, at), 1, t.size - 1)
+    return np.asarray(t[after] - t[after - 1])
+
+
 def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
 
@@ -236,11 +246,9 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
             complex_ = " (complex)" if np.iscomplexobj(array) else ""
             left_out.append(f"{name} {array.shape}{complex_}")
             continue
-        values = array.astype(np.float64)
-        rows = values.T if values.shape[0] == length else values
-        vectors = [rows] if values.ndim == 1 else [np.ascontiguousarray(row) for row in rows]
-        names = [name] if values.ndim == 1 else [f"{name}_{k + 1}" for k in range(len(rows))]
-        columns |= zip(names, vectors, strict=True)
+        rows = np.atleast_2d(array.T if array.shape[0] == length else array).astype(np.float64)
+        names = [name] if array.ndim == 1 else [f"{name}_{k + 1}" for k in range(len(rows))]
+        columns |= zip(names, map(np.ascontiguousarray, rows), strict=True)
     listed = ", ".join(left_out)
     notes = (f"variables without the common length {length} were left out: {listed}",)
     return LogTable(source=source, columns=columns, notes=notes if left_out else ())
@@ -254,7 +262,8 @@ def is_columns(item: Any) -> bool:
 def tabulate_columns(item: Any) -> LogTable:
     """Return the columns of a dict of arrays (vectors or matrices) or of a data frame.
 
-    A named index of a pandas frame counts as a column; time stamps become seconds.
+    A named index of a pandas frame counts as a column; time stamps become seconds, NaN where one
+    is missing.
 
     Raises
     ------
@@ -262,16 +271,16 @@ def tabulate_columns(item: Any) -> LogTable:
         If no column is numeric.
     """
     if isinstance(item, Mapping):
-        arrays = {str(name): np.asarray(values) for name, values in item.items()}
+        arrays = {str(name): _count_seconds(values) for name, values in item.items()}
         return tabulate_variables("dict of arrays", arrays)
     frame = item
     if getattr(getattr(item, "index", None), "name", None) is not None:
         frame = item.reset_index()
-    found = {str(name): np.asarray(frame[name].to_numpy()) for name in frame.columns}
+    found = {str(name): _count_seconds(frame[name].to_numpy()) for name in frame.columns}
     columns = {
-        name: values
-        for name, each in found.items()
-        if (values := _convert_to_numbers(each)) is not None
+        name: values.astype(np.float64)
+        for name, values in found.items()
+        if values.dtype.kind in "biuf"
     }
     if not columns:
         raise RecordingError(
@@ -282,13 +291,13 @@ def tabulate_columns(item: Any) -> LogTable:
     return LogTable(source="data frame", columns=columns, text_columns=text, order=tuple(found))
 
 
-def _convert_to_numbers(values: Array) -> Array | None:
-    """Return a column as floats, time stamps in seconds; None if it does not hold numbers."""
-    if values.dtype.kind in "mM":
-        return values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64).astype(np.float64) / 1e9
-    if values.dtype.kind not in "biuf":
-        return None
-    return values.astype(np.float64)
+def _count_seconds(values: Any) -> NDArray[Any]:
+    """Return an array, whose time stamps or durations are counted in seconds."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "mM":
+        return array
+    counted = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64) / 1e9
+    return np.where(np.isnat(array), np.nan, counted)
 
 
 MOST_COLUMNS = 10_000

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
     import polars as pl
 else:
     pl = lazy_loader.load("polars")
-from dataclasses import dataclass
-from math import pi
 
 INFO = Path("meta") / "info.json"
 STATE = "observation.state"

@@ -17,16 +17,14 @@ from asbuilt.writers.reports.page import (
     facts_markup,
     list_markup,
     paragraph_markup,
+    section_markup,
 )
-from asbuilt.writers.reports.report import PARTS, Report, Section, sections
+from asbuilt.writers.reports.report import Report, Section, sections
 
-IDENTIFIABILITY = """\
+SINGULAR_VALUES = """\
 <div id="singular-plot" class="plot"></div>
 <p class="quiet">Singular values of the weighted observation matrix with columns scaled to unit\
- length; the recordings determine {{ rank }} of {{ n_base }} directions.</p>
-{{ sentences }}
-{{ undetermined }}
-"""
+ length; the recordings determine {} of {} directions.</p>"""
 PROVENANCE = """\
 <ol>
 {% for line in provenance %}
@@ -42,20 +40,18 @@ PROVENANCE = """\
 """
 
 
-def _collect_estimation(report: Report) -> dict[str, Any]:
+def _make_estimation(report: Report) -> list[Markup]:
     study = report.study
     n = len(study.findings)
     findings = (
         (finding.severity, Markup("{} <code>{}</code>").format(finding.text, finding.code))
         for finding in study.findings
     )
-    return {
-        "parts": [
-            list_markup(findings, f"{n} finding{'s' if n > 1 else ''}"),
-            facts_markup(_list_facts(study.result)),
-            list_markup(study.result.notes, "How the estimate was chosen"),
-        ]
-    }
+    return [
+        list_markup(findings, f"{n} finding{'s' if n > 1 else ''}"),
+        facts_markup(_list_facts(study.result)),
+        list_markup(study.result.notes, "How the estimate was chosen"),
+    ]
 
 
 def _list_facts(result: IdentificationResult) -> list[tuple[str, str]]:
@@ -88,35 +84,33 @@ def _list_facts(result: IdentificationResult) -> list[tuple[str, str]]:
     ]
 
 
-def _collect_identifiability(report: Report) -> dict[str, Any]:
+def _make_identifiability(report: Report) -> list[Markup]:
     result = report.study.result
-    return {
-        "rank": result.rank,
-        "n_base": result.n_base,
-        "sentences": list_markup(report.study.determination.sentences),
-        "undetermined": list_markup(
-            (Markup("<code>{}</code>").format(each) for each in result.undetermined),
+    return [
+        Markup(SINGULAR_VALUES).format(result.rank, result.n_base),
+        list_markup(report.study.determination.sentences),
+        list_markup(
+            (Markup("<code>{}</code>").format(direction) for direction in result.undetermined),
             "Undetermined directions",
         ),
-    }
+    ]
 
 
-def _collect_provenance(report: Report) -> dict[str, Any]:
+def _make_provenance(report: Report) -> list[Markup]:
     result = report.study.result
-    return {
+    fields = {
         "provenance": result.provenance,
         "citation_of_robot": result.model.citation,
         "notes": list_markup(result.model.notes, "Notes of the description"),
         "command": shlex.join(report.command),
     }
+    return [section_markup(PROVENANCE, fields)]
 
 
 for identifier, section in {
-    "estimation": Section("Findings and estimation", 35, PARTS, _collect_estimation, folded=True),
-    "identifiability": Section(
-        "Identifiability", 70, IDENTIFIABILITY, _collect_identifiability, folded=True
-    ),
-    "provenance": Section("Provenance", 80, PROVENANCE, _collect_provenance, folded=True),
+    "estimation": Section("Findings and estimation", 35, _make_estimation, folded=True),
+    "identifiability": Section("Identifiability", 70, _make_identifiability, folded=True),
+    "provenance": Section("Provenance", 80, _make_provenance, folded=True),
 }.items():
     sections.register(identifier, section)
 
@@ -137,39 +131,38 @@ EFFECTS = """\
 """
 
 
-def _collect_verdict(report: Report) -> dict[str, Any]:
+def _make_verdict(report: Report) -> list[Markup]:
     study = report.study
     verdict = study.verdict
     findings = [
         (finding.severity, finding.text) for finding in study.findings if finding.severity != "info"
     ]
-    return {
-        "parts": [
-            paragraph_markup(verdict.text, f"verdict {MOODS[verdict.use]}"),
-            cards_markup(make_study_cards(study)),
-            # The first ones; all are in a section of their own.
-            list_markup(findings[:5]),
-        ]
-    }
+    return [
+        paragraph_markup(verdict.text, f"verdict {MOODS[verdict.use]}"),
+        cards_markup(make_study_cards(study)),
+        # The first ones; all are in a section of their own.
+        list_markup(findings[:5]),
+    ]
 
 
-def _collect_effects(report: Report) -> dict[str, Any] | None:
-    found = sorted(
+def _make_effects(report: Report) -> list[Markup]:
+    effects = sorted(
         report.study.result.effects,
-        key=lambda each: (not each.in_model, each.error_after - each.error_before),
+        key=lambda effect: (not effect.in_model, effect.error_after - effect.error_before),
     )
-    if not found:
-        return None
-    largest = max(max(each.error_before, each.error_after) for each in found) or 1.0
-    return {"effects": [_build_row(each, largest) for each in found]}
+    if not effects:
+        return []
+    largest = max(max(effect.error_before, effect.error_after) for effect in effects) or 1.0
+    rows = [_build_row(effect, largest) for effect in effects]
+    return [section_markup(EFFECTS, {"effects": rows})]
 
 
-def _build_row(each: FoundEffect, largest: float) -> dict[str, Any]:
-    before = each.error_before
-    after = each.error_after
+def _build_row(effect: FoundEffect, largest: float) -> dict[str, Any]:
+    before = effect.error_before
+    after = effect.error_after
     return {
-        "text": format_effect(each),
-        "in_model": each.in_model,
+        "text": format_effect(effect),
+        "in_model": effect.in_model,
         "before": f"{round_significant(100.0 * before, 2)} %",
         "after": f"{round_significant(100.0 * after, 2)} %",
         "wide": round(100.0 * before / largest, 2),
@@ -177,5 +170,5 @@ def _build_row(each: FoundEffect, largest: float) -> dict[str, Any]:
     }
 
 
-sections.register("verdict", Section("Verdict", 10, PARTS, _collect_verdict))
-sections.register("effects", Section("What CAD lacks", 12, EFFECTS, _collect_effects))
+sections.register("verdict", Section("Verdict", 10, _make_verdict))
+sections.register("effects", Section("What CAD lacks", 12, _make_effects))

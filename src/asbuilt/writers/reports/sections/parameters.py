@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from markupsafe import Markup
+
 from asbuilt.tables import format_deviation, format_percent, round_beside, round_with_error
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter
+from asbuilt.writers.reports.page import section_markup
 from asbuilt.writers.reports.report import Report, Section, sections
 
 TEMPLATE = """\
@@ -66,15 +69,16 @@ MARGIN = 12.0
 """Size of a drawing, and space left of its smallest and right of its largest value."""
 
 
-def _collect_parameters(report: Report) -> dict[str, Any]:
+def _make_parameters(report: Report) -> list[Markup]:
     comparison = report.study.comparison
-    return {
+    fields = {
         "verdict": comparison.verdict(),
         "verdicts": list(dict.fromkeys(parameter.verdict for parameter in comparison.parameters)),
         "rows": [_build_row(parameter) for parameter in comparison.parameters],
         "rule": comparison.rule(),
         "errors": comparison.errors,
     }
+    return [section_markup(TEMPLATE, fields)]
 
 
 def _build_row(parameter: ComparedParameter) -> dict[str, Any]:
@@ -134,6 +138,4 @@ def _choose_key(value: float | None) -> float | str:
     return "" if value is None else value
 
 
-sections.register(
-    "parameters", Section("Parameters", 60, TEMPLATE, _collect_parameters, folded=True)
-)
+sections.register("parameters", Section("Parameters", 60, _make_parameters, folded=True))

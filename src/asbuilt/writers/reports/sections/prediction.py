@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import Column, Table, round_significant
 from asbuilt.validation import Rollout, Validation
-from asbuilt.writers.reports.page import table_markup
+from asbuilt.writers.reports.page import section_markup, table_markup
 from asbuilt.writers.reports.report import Report, Section, sections
 from asbuilt.writers.tables.rollout_tables import tabulate_rollouts
 
@@ -42,17 +43,18 @@ ERROR = """\
 """
 
 
-def _collect_torque(report: Report) -> dict[str, Any] | None:
+def _make_torque(report: Report) -> list[Markup]:
     labels = [label for label, _ in report.predictions]
-    return {"labels": labels, "joints": report.study.result.joint_names} if labels else None
+    joints = report.study.result.joint_names
+    return [section_markup(TORQUE, {"labels": labels, "joints": joints})] if labels else []
 
 
-def _collect_errors(report: Report) -> dict[str, Any] | None:
+def _make_errors(report: Report) -> list[Markup]:
     tables = [
         table_markup(_build_residual_table(label, validation), f"residuals-{number}")
         for number, (label, validation) in enumerate(report.predictions)
     ]
-    return {"tables": tables} if tables else None
+    return [section_markup(ERROR, {"tables": tables})] if tables else []
 
 
 def _build_residual_table(label: str, validation: Validation) -> Table:
@@ -88,9 +90,9 @@ def _build_residual_table(label: str, validation: Validation) -> Table:
     )
 
 
-sections.register("torque", Section("Torque", 20, TORQUE, _collect_torque))
+sections.register("torque", Section("Torque", 20, _make_torque))
 sections.register(
-    "error", Section("Error of the prediction as built", 30, ERROR, _collect_errors, folded=True)
+    "error", Section("Error of the prediction as built", 30, _make_errors, folded=True)
 )
 
 ROLLOUT = """\
@@ -113,17 +115,17 @@ CUT = 10.0
 """Times the largest error as built at which errors by CAD are cut off."""
 
 
-def _collect_rollouts(report: Report) -> dict[str, Any] | None:
+def _make_rollouts(report: Report) -> list[Markup]:
     rollouts = report.study.rollouts
-    return fill_rollout_fields(report.study.result.model, rollouts) if rollouts else None
+    return [rollout_markup(report.study.result.model, rollouts)] if rollouts else []
 
 
-def fill_rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, Any]:
-    """Return the fields of the template: errors, and the motion of the longest rollouts."""
+def rollout_markup(model: RobotModel, rollouts: Sequence[Rollout]) -> Markup:
+    """Return the errors of rollouts, and drawings of the motion of the longest."""
     shown = rollouts[-1]
     first = shown.motions[0].windows
     count = _count_windows(shown)
-    return {
+    fields = {
         "table": table_markup(tabulate_rollouts(model, rollouts), "rollouts"),
         "note": (
             f"Windows of {shown.horizon:g} s, one after another, driven by the"
@@ -138,6 +140,7 @@ def fill_rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[
         "seconds": f"{count * first.horizon:.3g}",
         "starts": [f"{600.0 * w / count:.1f}" for w in range(1, count)],
     }
+    return section_markup(ROLLOUT, fields)
 
 
 def _count_windows(rollout: Rollout) -> int:
@@ -203,4 +206,4 @@ def _draw_windows(path: Array, lower: float, upper: float, top: float, bottom: f
     return pieces
 
 
-sections.register("rollout", Section("Rollout", 13, ROLLOUT, _collect_rollouts))
+sections.register("rollout", Section("Rollout", 13, _make_rollouts))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -17,7 +16,7 @@ from asbuilt.writers.reports.page import (
     paragraph_markup,
     table_markup,
 )
-from asbuilt.writers.reports.report import PARTS, Report, Section, sections
+from asbuilt.writers.reports.report import Report, Section, sections
 from asbuilt.writers.tables.payload_tables import tabulate_payload, tabulate_payload_torques
 from asbuilt.writers.tables.tabular import exported_masses, feasible_table, mass_table
 
@@ -103,23 +102,20 @@ def _draw_legend(y: int, *, with_truth: bool) -> Iterator[Markup]:
             yield Markup('<text x="{}" y="{}">{}</text>').format(at + 14, y + 4, name)
 
 
-def _collect_parts(tables: dict[str, Table], *before: Any) -> dict[str, Any]:
-    return {"parts": [*before, *(table_markup(table, name) for name, table in tables.items())]}
+def _make_comparison(report: Report) -> list[Markup]:
+    comparison = report.study.comparison
+    return [
+        paragraph_markup(comparison.verdict(), ""),
+        table_markup(comparison.torque_table(), "torque-table"),
+    ]
 
 
-def _collect_comparison(report: Report) -> dict[str, Any]:
-    found = report.study.comparison
-    return _collect_parts(
-        {"torque-table": found.torque_table()}, paragraph_markup(found.verdict(), "")
-    )
-
-
-def _collect_masses(report: Report) -> dict[str, Any] | None:
+def _make_masses(report: Report) -> list[Markup]:
     result = report.study.result
     recovery = report.recovery
     masses = exported_masses(result)
     if masses is None:
-        return None
+        return []
     truth = {} if recovery is None else recovery.true_values
     tables = {"mass-table": mass_table(masses)}
     bars = {"Masses": (*masses.links, masses.total)}
@@ -128,63 +124,60 @@ def _collect_masses(report: Report) -> dict[str, Any] | None:
         tables["armature-table"] = feasible_table(bars["Armatures"])
     if recovery is not None:
         tables["truth-table"] = recovery.interval_table()
-    drawn = [draw_intervals(bar, truth, title) for title, bar in bars.items()]
-    return _collect_parts(tables, *drawn)
+    return [
+        *(draw_intervals(bar, truth, title) for title, bar in bars.items()),
+        *(table_markup(table, name) for name, table in tables.items()),
+    ]
 
 
-def _collect_payload(report: Report) -> dict[str, Any] | None:
-    found = report.payload
-    if found is None:
-        return None
-    return _collect_parts(
-        {
-            "payload-values": tabulate_payload(found),
-            "payload-torque": tabulate_payload_torques(found),
-        }
-    )
+def _make_payload(report: Report) -> list[Markup]:
+    payload = report.payload
+    if payload is None:
+        return []
+    return [
+        table_markup(tabulate_payload(payload), "payload-values"),
+        table_markup(tabulate_payload_torques(payload), "payload-torque"),
+    ]
 
 
-def _collect_causes(report: Report) -> dict[str, Any] | None:
-    found = report.study.attribution
-    if found is None:
-        return None
-    sentences = list_markup((*found.sentences, *found.findings))
-    return _collect_parts({"shares": found.share_table()}, sentences, draw_shares(found))
+def _make_causes(report: Report) -> list[Markup]:
+    attribution = report.study.attribution
+    if attribution is None:
+        return []
+    return [
+        list_markup((*attribution.sentences, *attribution.findings)),
+        draw_shares(attribution),
+        table_markup(attribution.share_table(), "shares"),
+    ]
 
 
-sections.register("masses", Section("Masses", 22, PARTS, _collect_masses))
-sections.register("comparison", Section("CAD and as built", 24, PARTS, _collect_comparison))
-sections.register(
-    "causes", Section("Causes of the CAD error", 40, PARTS, _collect_causes, folded=True)
+sections.register("masses", Section("Masses", 22, _make_masses))
+sections.register("comparison", Section("CAD and as built", 24, _make_comparison))
+sections.register("causes", Section("Causes of the CAD error", 40, _make_causes, folded=True))
+sections.register("payload", Section("Payload", 50, _make_payload))
+
+ENCODERS = (
+    "Lag of the link's encoder, and the spring between motor and link. The rotor is the inertia"
+    " that the motor's torque moves without the link; hysteresis is what the difference of the"
+    " encoders changes by as the joint reverses. A dash: not determined."
 )
-sections.register("payload", Section("Payload", 50, PARTS, _collect_payload))
-
-TEMPLATE = """\
-<p class="quiet">Lag of the link's encoder, and the spring between motor and link. The rotor is\
- the inertia that the motor's torque moves without the link; hysteresis is what the difference of\
- the encoders changes by as the joint reverses. A dash: not determined.</p>
-{{ table | safe }}
-"""
 
 
-def _collect_encoders(report: Report) -> dict[str, Any] | None:
+def _make_encoders(report: Report) -> list[Markup]:
     pairs = report.study.result.encoders
     if not pairs:
-        return None
-    return {
-        "table": Table(
-            (
-                Column("joint"),
-                Column("lag", "ms", "right"),
-                Column("stiffness", "N m/rad, N/m", "right"),
-                Column("damping", "N m s/rad, N s/m", "right"),
-                Column("rotor", "kg m^2, kg", "right"),
-                Column("hysteresis", "mdeg, um", "right"),
-                Column("rest", "mdeg, um", "right"),
-            ),
-            tuple(map(_build_row, pairs)),
-        ).as_html("encoders")
-    }
+        return []
+    columns = (
+        Column("joint"),
+        Column("lag", "ms", "right"),
+        Column("stiffness", "N m/rad, N/m", "right"),
+        Column("damping", "N m s/rad, N s/m", "right"),
+        Column("rotor", "kg m^2, kg", "right"),
+        Column("hysteresis", "mdeg, um", "right"),
+        Column("rest", "mdeg, um", "right"),
+    )
+    table = Table(columns, tuple(map(_build_row, pairs)))
+    return [paragraph_markup(ENCODERS), table_markup(table, "encoders")]
 
 
 def _build_row(pair: EncoderPair) -> tuple[str, ...]:
@@ -194,12 +187,12 @@ def _build_row(pair: EncoderPair) -> tuple[str, ...]:
         pair.joint,
         format_plus_minus(1e3 * pair.lag, 1e3 * pair.lag_error),
         *(
-            "-" if each is None else format_plus_minus(*each)
-            for each in (pair.stiffness, pair.damping, rotor)
+            "-" if estimate is None else format_plus_minus(*estimate)
+            for estimate in (pair.stiffness, pair.damping, rotor)
         ),
         format_plus_minus(scale * pair.hysteresis, scale * pair.hysteresis_error),
         round_significant(scale * pair.rest, 2),
     )
 
 
-sections.register("encoders", Section("Two encoders", 14, TEMPLATE, _collect_encoders))
+sections.register("encoders", Section("Two encoders", 14, _make_encoders))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.curves import CubicSpline
-from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last
+from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last, measure_gaps
 from asbuilt.experiment.logs.formats.ros.messages import (
     FLAG,
     SPARSE,
@@ -51,7 +51,6 @@ def add_base_states(
     columns = dict(table.columns)
     unread = dict(topics.unread)
     notes = list(table.notes)
-    frames: dict[str, str] = {}
     for topic, found in messages.items():
         both = is_stamped(states) and is_stamped(found)
         rows = read_times(states, both)
@@ -59,7 +58,6 @@ def add_base_states(
         names = max((each.names for each in found), key=len)
         complete = np.array([found[k].names == names for k in first])
         values = np.array([found[k].position for k in first[complete]])
-        frames |= found[0].frames
         if topics.types[topic] == FLAG:
             columns[f"contact_{name_contact(topic)}"] = hold_last(rows, times, values[:, 0])[0]
             continue
@@ -83,9 +81,7 @@ def add_base_states(
             if period > SLOWER * own:
                 notes.append(f"{rates}: motion above {0.5e9 / period:.3g} Hz is not in it")
     known = {name: table.known.get(name, ("", "")) for name in columns if name != "time"}
-    return replace(
-        table, columns=columns, known=known, unread=unread, notes=tuple(notes), frames=frames
-    )
+    return replace(table, columns=columns, known=known, unread=unread, notes=tuple(notes))
 
 
 def _measure_period(times: NDArray[np.int64]) -> float:
@@ -118,10 +114,9 @@ def resample(
     if len(values) < 4 or not names:
         return out
     after = np.searchsorted(times, rows)
-    bounded = np.clip(after, 1, times.size - 1)
-    gap = times[bounded] - times[bounded - 1]
-    exact = times[np.clip(after, 0, times.size - 1)] == rows
-    inside = (rows >= times[0]) & (rows <= times[-1]) & ((gap <= SPARSE * period) | exact)
+    exact = times[np.minimum(after, times.size - 1)] == rows
+    near = measure_gaps(rows, times) <= SPARSE * period
+    inside = (rows >= times[0]) & (rows <= times[-1]) & (near | exact)
     start = times[0]
     t = (times - start) * 1e-9
     at = (rows[inside] - start) * 1e-9

@@ -18,6 +18,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
     hold_last,
+    measure_gaps,
     tabulate_joints,
 )
 from asbuilt.experiment.logs.formats.ros.base_table import add_base_states
@@ -28,6 +29,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     JointMessage,
     Topics,
     is_stamped,
+    read_frames,
     read_times,
 )
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -44,7 +46,11 @@ def tabulate_joint_messages(topics: Topics, messages: Messages, sheet: Recording
         for role in ("states", "commands")
     )
     base = {each: _read_topic(topics, messages, each, "base") for each in topics.base}
-    return tabulate_joint_states(topics, states, commands, sheet, base)
+    frames: dict[str, str] = {}
+    for topic in topics.base:
+        for _, message in messages[topic][:1]:
+            frames |= read_frames(message)
+    return replace(tabulate_joint_states(topics, states, commands, sheet, base), frames=frames)
 
 
 def tabulate_joint_states(
@@ -243,8 +249,7 @@ def _join_publisher(
     t = (own - own[0]).astype(np.float64)
     wanted = (at - own[0]).astype(np.float64)
     period = float(np.median(np.diff(t))) if t.size > 1 else 0.0
-    after = np.clip(np.searchsorted(t, wanted), 1, max(t.size - 1, 1))
-    gap = np.diff(t, append=t[-1])[after - 1] > SPARSE * period
+    gap = measure_gaps(wanted, t) > SPARSE * period
     # A message that comes within a period of the ends holds there.
     beyond = (wanted < t[0] - period) | (wanted > t[-1] + period)
     groups = []

@@ -37,7 +37,6 @@ FLAG = "std_msgs/msg/Bool"
 FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
 """Fields of a joint state, and their quantities."""
 _NONE: Array = np.empty(0)
-_NO_FRAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +55,8 @@ class JointMessage:
         Values (n,), empty where the message has none.
     after
         Time after the message at which they hold [ns], of points of a trajectory.
-    frames
-        Frames of a state of the base (`read_frames`), whose values are a position of its names.
+
+    A state of the base is a position of the names of its columns.
     """
 
     logged: int
@@ -67,7 +66,6 @@ class JointMessage:
     velocity: Array = field(default_factory=lambda: _NONE)
     effort: Array = field(default_factory=lambda: _NONE)
     after: int = 0
-    frames: Mapping[str, str] = field(default_factory=lambda: _NO_FRAMES)
 
 
 Reader = Callable[[int, Any], list[JointMessage]]
@@ -123,9 +121,8 @@ def _read_base(
     logged: int, message: Any, read: Callable[[Any], dict[str, float]]
 ) -> list[JointMessage]:
     values = read(message)
-    stamp = _read_stamp(message)
     position = np.array([*values.values()])
-    return [JointMessage(logged, stamp, tuple(values), position, frames=read_frames(message))]
+    return [JointMessage(logged, _read_stamp(message), tuple(values), position)]
 
 
 def _read_numbers_alone(logged: int, message: Any) -> list[JointMessage]:

@@ -11,8 +11,7 @@ from asbuilt.description import bundled_robot
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording, SignalChain, prepare_samples, simulate_recording
 from asbuilt.experiment.signal.filter_plan import FilterPlan
-from asbuilt.experiment.signal.preparation import stream_samples
-from asbuilt.experiment.signal.prepared_motion import MotionFilters
+from asbuilt.experiment.signal.preparation import MotionFilters, stream_samples
 from asbuilt.workflow import StudyOptions, identify
 
 W = 2.0 * np.pi * np.array([0.4, 1.3])

@@ -88,7 +88,7 @@ def read_solids(
         ]
         usable = [solid for solid in solids if solid is not None]
         if usable:
-            best = min(usable, key=lambda each: (bool(each.missing), not each.closed))
+            best = min(usable, key=lambda solid: (bool(solid.missing), not solid.closed))
             found.append(best if best is usable[0] else _replace_preferred(best, usable[0]))
     return tuple(found)
 
