@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -163,7 +164,7 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
 
 def _import_command(name: str, entry: Entry) -> Any:
     """Import a command."""
-    function = getattr(import_module(f"asbuilt.{entry.module}"), name)
+    function = getattr(_import_to_stay(f"asbuilt.{entry.module}"), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
         with (
@@ -179,6 +180,17 @@ def _import_command(name: str, entry: Entry) -> Any:
     help_text = f"{entry.summary}\n\n{more}".strip()
     alone.command(name, cls=Command, help=help_text, context_settings=HELP)(spread(function, run))
     return typer.main.get_command(alone)
+
+
+def _import_to_stay(name: str) -> ModuleType:
+    """Import a module whose objects are never looked through for cycles: they live to the end."""
+    if name in sys.modules:
+        return sys.modules[name]
+    gc.disable()
+    module = import_module(name)
+    gc.freeze()
+    gc.enable()
+    return module
 
 
 def _make_group(name: str, **described: Any) -> typer.Typer:
