@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import lapack
 
 from asbuilt.arrays import Array
 
@@ -47,6 +46,8 @@ def _solve_rates(step: Array, slope: Array) -> Array:
 
     The second derivative is continuous, and at the second knot from either end the third.
     """
+    from scipy.linalg import lapack  # noqa: PLC0415 - light start
+
     first = step[0] + step[1]
     last = step[-2] + step[-1]
     start = (step[0] + 2.0 * first) * step[1] * slope[0] + step[0] ** 2 * slope[1]

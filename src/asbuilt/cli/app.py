@@ -29,6 +29,7 @@ from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import ABSENT, COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
+from asbuilt.registry import pause_garbage_collection
 from asbuilt.untrusted import (
     allow_xacro_python,
     describe_problem,
@@ -186,10 +187,9 @@ def _import_to_stay(name: str) -> ModuleType:
     """Import a module whose objects are never looked through for cycles: they live to the end."""
     if name in sys.modules:
         return sys.modules[name]
-    gc.disable()
-    module = import_module(name)
-    gc.freeze()
-    gc.enable()
+    with pause_garbage_collection():
+        module = import_module(name)
+        gc.freeze()
     return module
 
 
