@@ -105,7 +105,7 @@ def test_channels_are_those_of_samples_prepared_by_one_chain(bare: Recording) ->
         model, *([prepare_samples(log, chain)] for log in (sensor, motor))
     )
     np.testing.assert_array_equal(found.values, by_hand.values)
-    assert found.value("Fvm2") == pytest.approx(0.5, abs=0.05)
+    assert found.values[found.names.index("Fvm2")] == pytest.approx(0.5, abs=0.05)
     with pytest.raises(UsageError, match="both channels"):
         identify_channels(ARM, [sensor, replace(sensor, tau=1.01 * sensor.tau)], motor)
 

@@ -363,7 +363,7 @@ def feasible(
             "--cad-tolerance goes with --prior cad", {"--cad-tolerance": cad_tolerance is not None}
         )
     identified = asbuilt.read_result(result)
-    condition = identification.describe_condition(identified)
+    condition = identified.result.torque_condition
     found = asbuilt.feasible_intervals(
         identified,
         quantity or (),

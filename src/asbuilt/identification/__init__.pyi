@@ -71,7 +71,6 @@ from .result.determination import Determination as Determination
 from .result.determination import determination as determination
 from .result.estimate_to_result import conclude as conclude
 from .result.feasible import FeasibleInterval as FeasibleInterval
-from .result.feasible import describe_condition as describe_condition
 from .result.feasible import feasible_intervals as feasible_intervals
 from .result.result import IdentificationResult as IdentificationResult
 from .result.result import Identified as Identified

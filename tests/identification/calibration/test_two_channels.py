@@ -47,11 +47,12 @@ def test_both_sides_come_back(channels):
     found = identify_two_channels(ROBOT, sensor, motor)
     assert len(found.names) == find_base_parameters(ROBOT, LINK_SIDE).n_base + 28
     named = [f"{symbol}{k + 1}" for k in range(7) for symbol in ("Iam", "Fvm", "Fcm", "Fom")]
-    errors = np.array([found.value(name) for name in named]) - truth
+    values = dict(zip(found.names, found.values.tolist(), strict=True))
+    errors = np.array([values[name] for name in named]) - truth
     sigmas = np.array([found.std_errors[found.names.index(name)] for name in named])
     assert np.sqrt(np.mean((errors / sigmas) ** 2)) < 1.6
     np.testing.assert_allclose(
-        [found.value(f"Fv{k + 1}") for k in range(7)], links.reshape(7, 3)[:, 0], atol=0.03
+        [values[f"Fv{k + 1}"] for k in range(7)], links.reshape(7, 3)[:, 0], atol=0.03
     )
     np.testing.assert_allclose(found.rms_sensor, 0.05, rtol=0.15)
     np.testing.assert_allclose(found.rms_motor, 0.5, rtol=0.15)

@@ -267,6 +267,10 @@ def test_damaged_results_are_refused(arm):
         (damaged(covariance=[[1.0]]), "covariance must have shape"),
         (damaged(parameters=whole["parameters"][:-1]), "base parameters"),
         (damaged(parameters=[{"id": 1}]), "damaged"),
+        (
+            damaged(parameters=[each | {"std_error": None} for each in whole["parameters"]]),
+            "std_error must be at least 0",
+        ),
         (damaged(drive=["nonsense"]), "unknown drive term"),
         (damaged(model={}), "robot document"),
         (damaged(train=None), "damaged|metrics"),

@@ -56,7 +56,7 @@ def test_the_error_is_that_of_the_robot_file(
 
 def test_a_mass_that_torques_do_not_determine_is_not_in_the_first_line(study: Study) -> None:
     """Nothing bounds the mass of all links; a scale does, and then it is the robot file's."""
-    assert study.result.feasible("mass").open_ends[1]
+    assert np.isinf(study.result.feasible("mass").greatest)
     assert " kg" not in study.verdict.text
     mass = sum(float(link.inertia.mass) for link in as_built(study.result).model.links)
     limits = MassRange(study.result.model.link_names, 0.99 * mass, 1.01 * mass)

@@ -222,26 +222,25 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             corrected = np.maximum(eigenvalues, PRIOR_USUAL_THICKNESS * total)
         else:
             corrected = eigenvalues
-        if masses[i] <= 0 and not link.negligible:
-            given = f"a mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
-            notes.append(
-                f"{link.name} has {given} in CAD; {mass:.3g} kg assumed from its neighbours"
-            )
-        elif masses[i] > 0 and np.any(corrected != eigenvalues):
-            # `negligible` links are known to have none, which is no news.
+        if masses[i] > 0 and np.array_equal(corrected, eigenvalues):
+            # The CAD value itself, without the rounding of an eigenvalue decomposition.
+            chi[10 * i : 10 * i + 10] = link.inertia.parameters
+            continue
+        # I = tr(S) 1 - S about the centre of mass.
+        S = (axes * corrected) @ axes.T
+        inertia = LinkInertia.from_com(mass, com, np.trace(S) * np.eye(3) - S)
+        chi[10 * i : 10 * i + 10] = inertia.parameters
+        if masses[i] > 0:
             notes.append(
                 f"CAD inertia of {link.name} corrected to be physically consistent"
                 f" ({link.inertia.inconsistency() or 'it has no thickness'})"
             )
-        if masses[i] > 0 and np.array_equal(corrected, eigenvalues):
-            # The CAD value itself, without the rounding of an eigenvalue decomposition.
-            chi[10 * i : 10 * i + 10] = link.inertia.parameters
-        else:
-            # I = tr(S) 1 - S about the centre of mass.
-            S = (axes * corrected) @ axes.T
-            chi[10 * i : 10 * i + 10] = LinkInertia.from_com(
-                mass, com, np.trace(S) * np.eye(3) - S
-            ).parameters
+        # `negligible` links are known to have none, which is no news.
+        elif not link.negligible:
+            given = f"a mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
+            notes.append(
+                f"{link.name} has {given} in CAD; {mass:.3g} kg assumed from its neighbours"
+            )
     if np.all(masses == 0.0):
         # The notes of all links say the same.
         notes = [f"No link has a mass in CAD; {chi[9]:.3g} kg assumed for each"]

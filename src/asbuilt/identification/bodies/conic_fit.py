@@ -38,28 +38,31 @@ class ConeSolution:
 
 
 def solve_cone_program(
-    quadratic: sparse.csc_matrix,
     linear: Array,
-    constraints: sparse.csc_matrix,
+    constraints: Any,
     right: Array,
     cones: list[Any],
-    **settings: float | bool,
+    *,
+    quadratic: sparse.csc_matrix | None = None,
+    settings: dict[str, float | bool] | None = None,
 ) -> ConeSolution:
     """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones.
 
-    P is upper triangular, `settings` have Clarabel's names, and semidefinite cones take the `svec`
-    of a matrix. Source: Goulart & Chen, Clarabel: an interior-point solver for conic programs,
-    2024.
+    P is upper triangular, zero by default, A dense or sparse, `settings` have Clarabel's names, and
+    semidefinite cones take the `svec` of a matrix. Source: Goulart & Chen, Clarabel: an
+    interior-point solver for conic programs, 2024.
     """
+    if quadratic is None:
+        quadratic = sparse.csc_matrix((len(linear), len(linear)))
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False
     # Fits run side by side in threads of their own.
     chosen.max_threads = 1
-    for name, value in settings.items():
+    for name, value in (settings or {}).items():
         setattr(chosen, name, value)
     try:
         solution = clarabel.DefaultSolver(
-            quadratic, linear, constraints, right, cones, chosen
+            quadratic, linear, sparse.csc_matrix(constraints), right, cones, chosen
         ).solve()
     except (
         BaseException
@@ -196,19 +199,18 @@ class ConicProblem:
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None
             if inside is not None:
                 return self._unscale(inside)
-            constraints = self._fill_pattern(torque)
             # P is diagonal: the pull of CAD on q, and the residual's square.
             quadratic = sparse.csc_matrix(
                 (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
                 (n + p, n + p),
             )
             solution = solve_cone_program(
-                quadratic,
                 np.concatenate([-pull * self.q0, np.zeros(p)]),
-                constraints,
+                self._fill_pattern(torque),
                 np.concatenate([z, self.limits]),
                 self.cones,
-                **(ROUGHLY if rough else EXACTLY),
+                quadratic=quadratic,
+                settings=ROUGHLY if rough else EXACTLY,
             )
             if "PrimalInfeasible" in solution.status and len(self.bounds):
                 raise IdentifiabilityError(
@@ -264,7 +266,7 @@ class ConicProblem:
         # z and limits are multiplied by t, as x = t chi.
         of_t = sparse.csc_matrix(-np.concatenate([z, self.limits])[:, None])
         further = sparse.csc_matrix(np.vstack([rows, ball]))
-        whole = sparse.csc_matrix(sparse.vstack([sparse.hstack([constraints, of_t]), further]))
+        whole = sparse.vstack([sparse.hstack([constraints, of_t]), further])
         right = np.zeros(whole.shape[0])
         right[constraints.shape[0]] = 1.0
         right[constraints.shape[0] + 2] = farthest
@@ -274,10 +276,9 @@ class ConicProblem:
             clarabel.NonnegativeConeT(2),
             clarabel.SecondOrderConeT(p + 1),
         ]
-        nothing = sparse.csc_matrix((n + p + 1, n + p + 1))
         towards = np.append(goal / size, np.zeros(p + 1))
         for settings in ABOUT:
-            solution = solve_cone_program(nothing, towards, whole, right, cones, **settings)
+            solution = solve_cone_program(towards, whole, right, cones, settings=settings)
             if solution.is_solved or "PrimalInfeasible" in solution.status:
                 break
         if "PrimalInfeasible" in solution.status:

@@ -59,10 +59,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         If beta has another shape than (p,) or is not finite, or the solver fails.
     """
     values = check_base_parameters(base, beta)
-    units, mass = _find_units(base, values)
-    # Tolerances of the solver are absolute: in units of the robot's size numbers are near one.
-    regrouping = base.regrouping * units / units[base.columns][:, None]
-    return mass * _find_margin(base, regrouping, values / units[base.columns])
+    return _find_margin(base, values, *_find_units(base, values))
 
 
 def _find_units(base: BaseParameters, values: Array) -> tuple[Array, float]:
@@ -84,8 +81,11 @@ def _find_units(base: BaseParameters, values: Array) -> tuple[Array, float]:
     return np.append(np.tile(body, base.n_links), np.full(drives, mass * length**2)), mass
 
 
-def _find_margin(base: BaseParameters, regrouping: Array, values: Array) -> float:
-    """Return the margin of parameters in units in which they are near one."""
+def _find_margin(base: BaseParameters, beta: Array, units: Array, mass: float) -> float:
+    """Return the margin of parameters, in units in which they are near one."""
+    # Tolerances of the solver are absolute: in units of the robot's size numbers are near one.
+    regrouping = base.regrouping * units / units[base.columns][:, None]
+    values = beta / units[base.columns]
     n_links = base.n_links
     counted = np.array(
         [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
@@ -112,7 +112,7 @@ def _find_margin(base: BaseParameters, regrouping: Array, values: Array) -> floa
             sparse.csc_matrix(np.tile(IDENTITY_SVEC, n_links)[:, None]),
         ]
     )
-    constraints = sparse.csc_matrix(sparse.vstack([fixed, positive, bodies]))
+    constraints = sparse.vstack([fixed, positive, bodies])
     # K chi = beta; armatures and P_i above t.
     bounds = np.concatenate([values[rows], np.zeros(len(armatures) + 10 * n_links)])
     cones = [
@@ -121,9 +121,8 @@ def _find_margin(base: BaseParameters, regrouping: Array, values: Array) -> floa
         *[clarabel.PSDTriangleConeT(4)] * n_links,
     ]
     # Maximise t.
-    nothing = sparse.csc_matrix((n + 1, n + 1))
     goal = np.append(np.zeros(n), -1.0)
-    solution = solve_cone_program(nothing, goal, constraints, bounds, cones)
+    solution = solve_cone_program(goal, constraints, bounds, cones)
     # Without a bound t grows for ever: no link is constrained.
     if "DualInfeasible" in solution.status:
         return float("inf")
@@ -132,17 +131,17 @@ def _find_margin(base: BaseParameters, regrouping: Array, values: Array) -> floa
             f"the physical consistency of the base parameters of {base.robot} is undecided (solver"
             f" status {solution.status})"
         )
-    return float(solution.x[-1])
+    return mass * float(solution.x[-1])
 
 
 def decide_consistency(base: BaseParameters, beta: ArrayLike) -> tuple[float | None, bool | None]:
     """Return the margin and whether links are consistent, None where the solver cannot decide."""
     try:
-        margin = consistency_margin(base, beta)
+        values = check_base_parameters(base, beta)
+        units, mass = _find_units(base, values)
+        margin = _find_margin(base, values, units, mass)
     except IdentifiabilityError:
         return None, None
-    values = check_base_parameters(base, beta)
-    units, mass = _find_units(base, values)
     largest = float(np.max(np.abs(values / units[base.columns]), initial=1.0))
     # Negative margin, in units of the largest parameter, that is rounding of the solver.
     return margin, margin >= -1e-8 * largest * mass
@@ -350,8 +349,7 @@ class _Separation:
             *[clarabel.PSDTriangleConeT(4)] * (self.inertial // 10),
         ]
         goal = np.concatenate([np.zeros(p), prices, [1.0]])
-        nothing = sparse.csc_matrix((len(goal), len(goal)))
-        solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
+        solution = solve_cone_program(goal, constraints, right, cones)
         if not solution.is_solved:
             return None
         u = solution.x[:p]

@@ -8,7 +8,6 @@ from typing import Literal
 import clarabel
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import pseudo_inertias
@@ -285,8 +284,7 @@ def find_deepest_inside(
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
     goal = np.append(np.zeros(free.shape[1]), -1.0)
-    nothing = sparse.csc_matrix((len(goal), len(goal)))
-    solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
+    solution = solve_cone_program(goal, constraints, right, cones)
     if not solution.is_solved:
         raise IdentifiabilityError(
             f"the physical consistency of {len(beta)} base parameters of {cad.robot} is undecided"

@@ -41,11 +41,13 @@ Prepare = Callable[[Array], Sequence["Samples"]]
 
 
 HELPFUL = 2.0
-"""Standard errors by which the error on other motions must fall. Own choice, from recordings of
-four real robots, whole and two thirds of each: in ten sets delays of 18 to 62 ms exceeded 2 of
-their own standard errors. Eight sets fail here; applied, those delays change the error on other
-recordings by -18 to +51 %, by +16 % on average. The other two, of the fast log of the Med 7, lower
-it by 1 and 2 %."""
+"""Standard errors by which the error on other motions must fall: own choice.
+
+In ten sets of recordings of four real robots, whole and two thirds of each, delays of 18 to 62 ms
+exceeded 2 of their own standard errors. Eight sets fail here; applied, those delays change the
+error on other recordings by -18 to +51 %, by +16 % on average. The other two, of the fast log of
+the Med 7, lower it by 1 and 2 %.
+"""
 
 
 def measure_delay_relief(

@@ -496,11 +496,11 @@ def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]
     scale = own.size
     floor = PAYLOAD_INTERIOR * float(np.abs(estimate[9]))
     solution = solve_cone_program(
-        sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale))),
         -2.0 * (root * scale).T @ (root @ estimate),
-        sparse.csc_matrix(-PSEUDO_INERTIA_SVEC * scale),
+        -PSEUDO_INERTIA_SVEC * scale,
         -floor * IDENTITY_SVEC,
         [clarabel.PSDTriangleConeT(4)],
+        quadratic=sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale))),
     )
     if not solution.is_solved:
         raise IdentifiabilityError(

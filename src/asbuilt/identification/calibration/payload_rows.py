@@ -179,16 +179,11 @@ MOST = 0.5
 """Largest valid fraction that is stated."""
 
 
-def relative_gain_errors(
-    source: TorqueSource, n_joints: int, stated: ArrayLike | None = None
-) -> Array:
-    """Return the standard deviation of each joint's gain as fractions, shape (n,).
+def _check_stated_errors(stated: ArrayLike, n_joints: int) -> Array:
+    """Return stated standard deviations of gains as fractions (n,), given one for all or one each.
 
-    `stated` has one for all joints or one each; the default depends on the torque source. Raises
-    `UsageError` for another number of values, or values outside 0 to 0.5.
+    Raises `UsageError` for another number of values, or values outside 0 to 0.5.
     """
-    if stated is None:
-        return np.full(n_joints, USUAL_UNCERTAINTY[source])
     values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
     if values.ndim != 1 or values.size not in (1, n_joints):
         raise UsageError(
@@ -213,8 +208,11 @@ def derive_gain_errors(
     but a sensor's do where the description has no masses. Torques of unknown source are as good as
     a sensor's until gravity contradicts them.
     """
-    usual = relative_gain_errors(source, result.model.n_joints, stated)
-    if stated is not None or source == "sensor":
+    n = result.model.n_joints
+    if stated is not None:
+        return _check_stated_errors(stated, n)
+    usual: Array = np.full(n, USUAL_UNCERTAINTY[source])
+    if source == "sensor":
         return usual
     if not result.model.has_every_mass:
         return np.maximum(usual, UNCALIBRATED)

@@ -331,13 +331,12 @@ class _Problem:
         theta = np.concatenate([np.zeros(p), given])
         inverse = self._find_signs(rows, theta, free)
         sigma = np.ones(self._n)
-        for iteration in range(GAIN_ITERATIONS):
-            if iteration == 0:
-                every = np.vstack([r * g for r, g in zip(rows, inverse, strict=True)])
-                target = np.concatenate([r[:, -1] for r in rows])
-                theta[free] = self._solve_least_squares(
-                    every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
-                )
+        signed = np.vstack([r[:, :-1] * g for r, g in zip(rows, inverse, strict=True)])
+        torque = np.concatenate([r[:, -1] for r in rows])
+        theta[free] = self._solve_least_squares(
+            signed[:, free], torque - signed[:, ~free] @ theta[~free]
+        )
+        for _ in range(GAIN_ITERATIONS):
             matrix, errors = self._linearise(rows, theta, inverse, sigma, free)
             step = self._solve_least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))

@@ -15,7 +15,7 @@ from asbuilt.dynamics import BaseParameters, DriveSet, StandardParameter, find_b
 from asbuilt.dynamics.base.symbols import Polynomial
 from asbuilt.dynamics.drives.torque import list_coupled_motor_terms
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.errors import ResultError, UsageError
+from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -58,7 +58,7 @@ class TwoChannelEstimate:
     scales, scale_errors
         Torque of each motor channel relative to its sensor (n,), with standard errors; where it
         differs from 1, motors were divided by it, and all errors count that it was fitted.
-    estimate, uncertainty, information
+    estimate
         The fit behind.
     """
 
@@ -74,8 +74,6 @@ class TwoChannelEstimate:
     scales: Array
     scale_errors: Array
     estimate: Estimate
-    uncertainty: Uncertainty
-    information: SquareRootInformation
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -95,12 +93,6 @@ class TwoChannelEstimate:
         )
         cure = Cure("divide the motor gains by this, or look for friction that grows with load")
         return (Finding("motor_scale", "warning", message, cure=cure),)
-
-    def value(self, name: str) -> float:
-        """Return the value of one parameter; raises `ResultError` for an unknown name."""
-        if name not in self.names:
-            raise ResultError(f"unknown parameter {name!r}; available: {', '.join(self.names)}")
-        return float(self.values[self.names.index(name)])
 
 
 def identify_two_channels(
@@ -191,8 +183,6 @@ def identify_two_channels(
         scales=scales,
         scale_errors=errors,
         estimate=estimate,
-        uncertainty=uncertainty,
-        information=information,
     )
 
 

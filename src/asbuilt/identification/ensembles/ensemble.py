@@ -268,7 +268,7 @@ class Ensemble:
     @property
     def moved(self) -> int:
         """Number of draws that were physically impossible, so that the nearest robot stands in."""
-        return int(np.sum(self.chi_square > 1.0))
+        return count_impossible(self.chi_square)
 
 
 def draw_ensemble(
@@ -332,21 +332,20 @@ def draw_ensemble(
     centre = chi[0]
     chi = chi[1:]
     chi_square = chi_square[1:]
-    far = int(np.sum(chi_square > 1.0))
-    possible = (
-        (
-            any(term.nonlinear for term in result.base.drive.terms),
-            "nonlinear parameters of drive terms are the identified ones in every draw",
-        ),
-        (
-            far > 0,
-            f"{far} of {n} draws were physically impossible; the nearest possible robot"
-            " stands for each",
-        ),
-    )
-    notes += [note for holds, note in possible if holds]
+    if any(term.nonlinear for term in result.base.drive.terms):
+        notes.append("nonlinear parameters of drive terms are the identified ones in every draw")
+    if far := count_impossible(chi_square):
+        notes.append(
+            f"{far} of {n} draws were physically impossible; the nearest possible robot stands for"
+            " each"
+        )
     notes += _note_odd_masses(result, chi)
     return Ensemble(result, chi, centre, gains, chi_square, tuple(notes))
+
+
+def count_impossible(chi_square: Array) -> int:
+    """Return how many draws are more than a standard error from any possible robot."""
+    return int(np.sum(chi_square > 1.0))
 
 
 def _note_odd_masses(result: IdentificationResult, drawn: Array) -> list[str]:

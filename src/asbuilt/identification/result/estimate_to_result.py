@@ -106,9 +106,6 @@ def conclude(
     parameters = _list_parameters(information, estimate, uncertainty, design)
     margin, consistent = decide_consistency(base, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
-    estimation = report_estimation(
-        parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
-    )
     return IdentificationResult(
         model=model,
         base=base,
@@ -132,7 +129,14 @@ def conclude(
         cad=cad or measure_errors_by_information(information, np.nan_to_num(design, nan=0.0)),
         physically_consistent=None if consistent is None else consistent and not non_passive,
         consistency_margin=margin,
-        findings=(*estimation, *findings),
+        findings=(
+            *_report_determination(parameters, estimate),
+            *_report_errors(estimate, uncertainty),
+            *_report_consistency(parameters, margin if consistent is False else None, non_passive),
+            *_report_convergence(estimate),
+            *estimate.findings,
+            *findings,
+        ),
         notes=(*estimate.notes, *notes),
         errors=uncertainty.basis,
         scatter=uncertainty.scatter,
@@ -153,21 +157,19 @@ def conclude(
 
 def measure_errors_by_information(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
     """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN."""
-    n = information.n_samples
-    error = information.residual_energy(beta)
     energy = information.torque_energy
-    spread = energy - information.torque_sum.sum(axis=0) ** 2 / n
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return TorqueMetrics(
-            source=", ".join(information.sources),
-            joint_names=information.joint_names,
-            n_samples=n,
-            rms=np.sqrt(error / n),
-            max_abs=np.full(information.n_joints, np.nan),
-            r_squared=np.where(spread > 1e-12 * energy, 1.0 - error / spread, np.nan),
-            relative_error=float(np.sqrt(error.sum() / energy.sum())),
-            relative_error_per_joint=np.sqrt(error / energy),
-        )
+    spread = energy - information.torque_sum.sum(axis=0) ** 2 / information.n_samples
+    return TorqueMetrics.of_sums(
+        ", ".join(information.sources),
+        information.joint_names,
+        information.n_samples,
+        error=information.residual_energy(beta),
+        energy=energy,
+        spread=spread,
+        # Their difference keeps half of the digits.
+        constant=~(spread > 1e-12 * energy),
+        max_abs=np.full(information.n_joints, np.nan),
+    )
 
 
 def _list_parameters(
@@ -211,27 +213,6 @@ def _find_poorly_determined(
     )
     torque = error * column / np.sqrt(information.n_samples)
     return np.asarray((error > POOR_RELATIVE_ERROR * size) & (torque > POOR_TORQUE))
-
-
-def report_estimation(
-    parameters: Sequence[IdentifiedParameter],
-    estimate: Estimate,
-    uncertainty: Uncertainty,
-    inconsistent: float | None,
-    non_passive: Sequence[str],
-) -> tuple[Finding, ...]:
-    """Return what an estimate says of itself.
-
-    `inconsistent` is the negative margin of links that are physically inconsistent, None if they
-    are consistent or that is unknown; `non_passive` names drive parameters below zero.
-    """
-    return (
-        *_report_determination(parameters, estimate),
-        *_report_errors(estimate, uncertainty),
-        *_report_consistency(parameters, inconsistent, non_passive),
-        *_report_convergence(estimate),
-        *estimate.findings,
-    )
 
 
 def _report_determination(
@@ -313,6 +294,11 @@ def _report_consistency(
     inconsistent: float | None,
     non_passive: Sequence[str],
 ) -> Iterator[Finding]:
+    """Report links and drives that no robot has.
+
+    `inconsistent` is the negative margin of links that are physically inconsistent, None if they
+    are consistent or that is unknown; `non_passive` names drive parameters below zero.
+    """
     consistent = {"method": "consistent"}
     if inconsistent is not None:
         yield Finding(

@@ -37,8 +37,6 @@ BODIES = ("payload", "link_mass")
 """Effects whose size is a mass of a link beyond CAD's."""
 RESOLUTION = 1e-8
 """Least standard error of a base parameter, in its size by CAD: the solver resolves no less."""
-RANK = 1e-10
-"""Eigenvalue of the information, relative to the largest, below which nothing is determined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +78,6 @@ class FeasibleInterval:
     def determined(self) -> bool:
         """Whether the recordings determine the quantity by itself."""
         return self.std_error is not None
-
-    @property
-    def open_ends(self) -> tuple[bool, bool]:
-        """Whether nothing bounds it from below, and from above."""
-        return bool(np.isinf(self.least)), bool(np.isinf(self.greatest))
 
     @property
     def is_narrow(self) -> bool:
@@ -235,14 +228,6 @@ def feasible_intervals(
     return tuple(map(bound, found))
 
 
-def describe_condition(result: IdentificationResult) -> str:
-    """Return what intervals take as given beyond torques; empty for torques that were logged.
-
-    Torques that were computed may be known up to a scale alone.
-    """
-    return result.torque_condition
-
-
 def evaluate_quantities(
     result: IdentificationResult, quantities: Iterable[str], parameters: Array
 ) -> dict[str, float]:
@@ -324,21 +309,31 @@ def list_open(
     that the torques could answer, and it is told with what it is confounded with.
     """
     for effect in effects:
-        term = next((term for term in result.base.drive.terms if term.key == effect.effect), None)
-        if not effect.in_model or effect.joint is None or term is None:
+        known = {
+            symbol: quantity
+            for symbol, quantity in _find_parameters(result, effect).items()
+            if quantity is not None
+        }
+        # Most are not zero by their estimate alone, without a program.
+        if any(
+            _recall_region(result, "each").excludes_zero(quantity.value)
+            for quantity in known.values()
+        ):
             continue
-        symbols = [symbol for symbol in term.symbols if _of_joint(result, symbol, effect.joint)]
-        if any(_excludes_zero(result, symbol, effect.joint) for symbol in symbols):
-            continue
-        intervals = [feasible_interval(result, symbol, effect.joint) for symbol in symbols]
+        intervals = [feasible_interval(result, symbol, effect.joint) for symbol in known]
         if intervals and all(each.holds(0.0) and not each.confounded_with for each in intervals):
             yield effect
 
 
-def _excludes_zero(result: IdentificationResult, symbol: str, joint: str) -> bool:
-    """Return whether a drive parameter is not zero by its estimate alone, without a program."""
-    quantity = _of_joint(result, symbol, joint)
-    return quantity is not None and _recall_region(result, "each").excludes_zero(quantity.value)
+def _find_parameters(
+    result: IdentificationResult, effect: FoundEffect
+) -> dict[str, _Quantity | None]:
+    """Return drive parameters of an effect in the model by symbol, None if the joint lacks one."""
+    joint = effect.joint
+    if not effect.in_model or joint is None:
+        return {}
+    terms = [term for term in result.base.drive.terms if term.key == effect.effect]
+    return {s: _of_joint(result, s, joint) for term in terms for s in term.symbols}
 
 
 def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[str, float] | None:
@@ -349,14 +344,9 @@ def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[s
         if effect.joint is not None:
             link = result.base.link_joints.index(model.joint_names.index(effect.joint))
         return f"mass:{model.link_names[link]}", float(model.links[link].inertia.mass)
-    term = next((term for term in result.base.drive.terms if term.key == effect.effect), None)
-    if not effect.in_model or effect.joint is None or term is None:
-        return None
-    symbol = term.symbols[0]
-    k = model.joint_names.index(effect.joint)
-    place = result.base.standard_names.index(f"{symbol}{k + 1}")
-    seen = bool(np.any(result.base.regrouping[:, place]))
-    return (f"{symbol}:{effect.joint}", 0.0) if seen else None
+    # The first parameter of a term is its size.
+    symbol, quantity = next(iter(_find_parameters(result, effect).items()), ("", None))
+    return None if quantity is None else (f"{symbol}:{effect.joint}", 0.0)
 
 
 def _explain_ends(
@@ -461,11 +451,8 @@ def _read_cad(result: IdentificationResult) -> Array:
 
 def _default(result: IdentificationResult) -> tuple[str, ...]:
     armature = ("armature",) if "armature" in result.base.drive.keys else ()
-    return ("mass", *_of_links(result, "mass"), *armature)
-
-
-def _of_links(result: IdentificationResult, kind: str) -> tuple[str, ...]:
-    return tuple(f"{kind}:{link.name}" for link in result.model.links if not link.negligible)
+    masses = (f"mass:{link.name}" for link in result.model.links if not link.negligible)
+    return ("mass", *masses, *armature)
 
 
 def _parse(result: IdentificationResult, text: str) -> tuple[_Quantity, ...]:

@@ -23,7 +23,6 @@ from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
     FURTHER_SECONDS,
     WELL,
-    Advice,
     best_motions,
     error_ratios,
     sample_information,
@@ -62,30 +61,9 @@ def _advise_motion(result: IdentificationResult, samples: Sequence[Samples]) -> 
     Squats, sways, turns, lifted legs and hops about the posture of the robot are compared by the
     information that 20 s of each add.
     """
-    advice, weak = leg_advice(result, samples)
-    if not advice:
-        return
-    parts = [
-        f"of {each.motion} {'would at least halve' if k == 0 else ''} the errors of"
-        f" {len(each.names)} ({join_names(each.names, NAMES)})".replace("  ", " ")
-        for k, each in enumerate(advice)
-    ]
-    yield Finding(
-        "weak_excitation",
-        "warning",
-        f"This motion leaves {weak} of {result.n_base} parameters with errors above"
-        f" {100 * WELL:g} %; {FURTHER_SECONDS:g} s {', and '.join(parts)}",
-        Cure("record that too, and identify from all logs together"),
-    )
-
-
-def leg_advice(
-    result: IdentificationResult, samples: Sequence[Samples]
-) -> tuple[tuple[Advice, ...], int]:
-    """Return the motions that help most, and how many parameters are weak."""
     weak = weak_parameters(result)
     if not weak.size:
-        return (), 0
+        return
     motions = list(leg_motions(result.model, standing_posture(samples)))
     logged = samples[0].reactions
     extras = (
@@ -100,9 +78,22 @@ def leg_advice(
         for motion in motions
     )
     table = error_ratios(result, known_information(result), weak, extras)
-    return best_motions(
-        result, weak, table, [motion.name for motion in motions], [slice(None)] * MOTIONS, NEARLY
-    ), weak.size
+    names = [motion.name for motion in motions]
+    advice = best_motions(result, weak, table, names, [slice(None)] * MOTIONS, NEARLY)
+    if not advice:
+        return
+    parts = [
+        f"of {tip.motion} {'would at least halve ' if k == 0 else ''}the errors of"
+        f" {len(tip.names)} ({join_names(tip.names, NAMES)})"
+        for k, tip in enumerate(advice)
+    ]
+    yield Finding(
+        "weak_excitation",
+        "warning",
+        f"This motion leaves {weak.size} of {result.n_base} parameters with errors above"
+        f" {100 * WELL:g} %; {FURTHER_SECONDS:g} s {', and '.join(parts)}",
+        Cure("record that too, and identify from all logs together"),
+    )
 
 
 def standing_posture(samples: Sequence[Samples]) -> Array:

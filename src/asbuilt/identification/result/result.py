@@ -670,7 +670,7 @@ class IdentificationResult:
             ("rank", 0 <= self.rank <= self.base.n_base, f"from 0 to {self.base.n_base}"),
             ("sigma", bool(np.all(self.sigma > 0)), "positive"),
             ("estimate", _is_finite(self.estimates), "finite"),
-            ("std_error", not np.any(errors < 0), "at least 0"),
+            ("std_error", bool(np.all(errors >= 0)), "at least 0"),
             ("covariance", _is_finite(self.covariance), "finite"),
             ("covariance", not np.any(np.diag(self.covariance) < 0), "positive semidefinite"),
             ("covariance", _has_correlations(self.covariance), "positive semidefinite"),

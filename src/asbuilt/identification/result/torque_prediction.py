@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.codec import make_plain, store_as
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, drive_torque, inverse_dynamics
@@ -57,6 +57,37 @@ class TorqueMetrics:
                 )
             values.setflags(write=False)
             object.__setattr__(self, name, values)
+
+    @classmethod
+    def of_sums(
+        cls,
+        source: str,
+        joint_names: tuple[str, ...],
+        n_samples: int,
+        *,
+        error: Array,
+        energy: Array,
+        spread: Array,
+        constant: Mask,
+        max_abs: Array,
+    ) -> TorqueMetrics:
+        """Return the metrics by sums over samples of each joint, (n,).
+
+        `error` and `energy` are sums of e^2 and tau^2, `spread` that of the torque about its mean,
+        which is rounding where it is `constant`. Joints without a torque channel are NaN.
+        """
+        known = np.isfinite(energy)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return cls(
+                source=source,
+                joint_names=joint_names,
+                n_samples=n_samples,
+                rms=np.sqrt(error / n_samples),
+                max_abs=max_abs,
+                r_squared=np.where(constant, np.nan, 1.0 - error / spread),
+                relative_error=float(np.sqrt(error[known].sum() / energy[known].sum())),
+                relative_error_per_joint=np.sqrt(error / energy),
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, None for what is undefined, ready for JSON."""
@@ -108,21 +139,15 @@ class TorqueTally:
                 " than the filter's edges?"
             )
         energy = self._spread + self._n * self._mean**2
-        known = np.isfinite(energy)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            constant = self._spread <= 1e-24 * energy
-            r_squared = np.where(constant, np.nan, 1.0 - self._error / self._spread)
-            per_joint = np.sqrt(self._error / energy)
-            relative = float(np.sqrt(self._error[known].sum() / energy[known].sum()))
-        return TorqueMetrics(
-            source=source,
-            joint_names=self.joint_names,
-            n_samples=self._n,
-            rms=np.sqrt(self._error / self._n),
+        return TorqueMetrics.of_sums(
+            source,
+            self.joint_names,
+            self._n,
+            error=self._error,
+            energy=energy,
+            spread=self._spread,
+            constant=self._spread <= 1e-24 * energy,
             max_abs=self._largest,
-            r_squared=r_squared,
-            relative_error=relative,
-            relative_error_per_joint=per_joint,
         )
 
 

@@ -104,7 +104,7 @@ def position_noise_bias(
     base = result.base
     model = result.model
     total = sum(len(samples.q) for samples in training)
-    weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny) ** 2
+    weights = result.weights**2
     normal = np.zeros((base.n_base, base.n_base))
     for samples, variance in zip(training, noise, strict=True):
         # W_k is linear in the accelerations: one unit of each joint in turn gives its derivative.
@@ -165,8 +165,7 @@ def report_position_noise(
             "warning",
             f"Noise of the positions biases {biased.size} of {len(bias)} parameters by more than"
             f" {TOO_MUCH:g} standard errors ({join_names(named)} standard errors): their"
-            " intervals are"
-            " too narrow",
+            " intervals are too narrow",
             Cure("lower the cutoff, log positions with finer steps"),
         ),
     )

@@ -357,17 +357,13 @@ class RecordingDelay:
 
 def state_delay(recording: Recording, digest: str, delays: tuple[float, ...]) -> RecordingDelay:
     """Return a delay that was given, one number or one per joint [s]."""
-    own = delays if len(delays) > 1 else ()
+    applied = float(np.mean(delays)) if delays else 0.0
+    joints = zip(recording.joint_names, delays, strict=True) if len(delays) > 1 else ()
     return RecordingDelay(
         recording.source,
         digest,
         np.nan,
         np.nan,
-        float(np.mean(delays)) if delays else 0.0,
-        joints=tuple(
-            JointDelay(name, np.nan, np.nan, delay)
-            for name, delay in zip(recording.joint_names, own, strict=True)
-        )
-        if own
-        else (),
+        applied,
+        tuple(JointDelay(name, np.nan, np.nan, delay) for name, delay in joints),
     )

@@ -338,6 +338,9 @@ DRAW_LINEAR_DRAWS = 1000  # Draws of an estimate that is linear in the torque
 DRAW_REFITTED_DRAWS = 200  # Draws of any other estimate, each of which is a fit of its own
 DRAW_LEAST_INFORMATION = 1e-6  # Part of the information in every direction that a valid draw has
 DRAW_MOST_FAILURES = 0.1  # Largest share of invalid draws
+BY_FORMULA = Cure(
+    "record longer, or estimate the errors by the block formula", settings={"errors": "blocks"}
+)
 
 
 @use_one_blas_thread()
@@ -368,10 +371,7 @@ def redraw(
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
             f"{n} time blocks are too few for a bootstrap, {FEWEST_BLOCKS} are needed",
-            cure=Cure(
-                "record longer, or estimate the errors by the block formula",
-                settings={"errors": "blocks"},
-            ),
+            cure=BY_FORMULA,
         )
     draws = (
         (DRAW_LINEAR_DRAWS if estimate.refit is None else DRAW_REFITTED_DRAWS)
@@ -389,10 +389,7 @@ def redraw(
         raise IdentifiabilityError(
             f"{refused} of {draws} bootstrap draws of {n} time blocks do not determine what the"
             " whole recording determines, since single blocks have information that others lack",
-            cure=Cure(
-                "record longer, or estimate the errors by the block formula",
-                settings={"errors": "blocks"},
-            ),
+            cure=BY_FORMULA,
         )
     return np.array(estimates)
 

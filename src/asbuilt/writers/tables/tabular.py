@@ -304,7 +304,7 @@ def mass_table(masses: ExportedMasses) -> Table:
 def feasible_table(intervals: Sequence[FeasibleInterval], condition: str = "") -> Table:
     """List quantities with CAD value, feasible interval, chosen value, and why it is one.
 
-    `condition` is what the intervals take as given, as `describe_condition` returns it.
+    `condition` is what the intervals take as given: `torque_condition` of their result.
     """
     return Table.of(
         intervals,
