@@ -328,7 +328,7 @@ def _choose_clock(t: Array, q: Array) -> tuple[Array, bool]:
     # Beyond half a period stamps and ticks are not paired for certain.
     if np.max(np.abs(even - t)) > 0.6 * period:
         return t, False
-    grid = np.arange(int(tick[-1]) + 1)
+    grid = np.arange(int(tick[-1]) + 1, dtype=np.float64)
     on_even = CubicSpline(tick, q)(grid)
     # Ticks just outside the stamps are moved to their ends.
     inside = t[0] + np.clip(start + slope * grid, 0.0, t[-1] - t[0])
