@@ -68,7 +68,7 @@ class Problem:
         part = 0.0
         while part < 0.9:
             trial = coefficients + part * (self.middle - coefficients)
-            if min(float(slack.min()) for slack in self.fine.margins(trial)) >= 0:
+            if self.fine.smallest_margin(trial) >= 0:
                 mean = mean_information(self.information, *self.fine.states(trial))
                 return float(np.linalg.slogdet(mean)[1])
             part = 1.25 * part + 1e-3
@@ -82,7 +82,7 @@ class Problem:
     def slack(self, x: Array) -> Array:
         """The smallest slack of each group of limits and joint."""
         return np.concatenate(
-            [slack.min(axis=0) for slack in self.nodes.margins(x.reshape(self.shape))]
+            [slack.min(axis=1).ravel() for slack in self.nodes.margins(x.reshape(self.shape))]
         )
 
     def random(self, seed: int) -> Array:

@@ -5,7 +5,7 @@ Four joints, one of them sliding, names from a stranger's file; fixtures of two 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -69,12 +69,8 @@ def example_robot(extra_name: str = HOSTILE) -> RobotModel:
                 limits=limits,
             )
         )
-    return robot_from_dh(
-        rows,
-        name=f"arm {extra_name}",
-        citation="Nobody, On nothing, 2001",
-        gravity=[1.0, 0.0, -9.6],
-    )
+    robot = robot_from_dh(rows, name=f"arm {extra_name}", gravity=[1.0, 0.0, -9.6])
+    return replace(robot, citation="Nobody, On nothing, 2001")
 
 
 def example_samples(

@@ -16,7 +16,7 @@ from page import MISSING, read_results, split_text
 from task import HERE, RESULTS, Task, tasks
 
 from asbuilt.tables import format_share, round_with_error
-from asbuilt.validation.prediction import LETTERS
+from asbuilt.validation.prediction import choose_letter, describe_letters
 
 DOCS = HERE.parents[1] / "docs" / "robots"
 NUMBERS = HERE / "robots"
@@ -59,7 +59,7 @@ def page_texts(results: Path = RESULTS) -> dict[str, str]:
         texts[f"{name}.md"] = robot_page(task, numbers, *errors)
         texts[f"{name}.json"] = robot_document(task, numbers, *errors)
         lines.append(_index_line(task, numbers, *errors))
-    head = (HERE / "robots_head.md").read_text().rstrip().replace("RULE", LETTERS.text)
+    head = (HERE / "robots_head.md").read_text().rstrip().replace("RULE", describe_letters())
     texts["index.md"] = "\n".join([head, *lines]) + "\n"
     return texts
 
@@ -90,9 +90,9 @@ def robot_document(task: Task, numbers: dict[str, Any], error: float, cad: float
     """Return the numbers of a page as JSON."""
     document = {
         "title": task.title,
-        "letter": LETTERS.letter(error),
+        "letter": choose_letter(error),
         "error": error,
-        "description": {"letter": None if cad is None else LETTERS.letter(cad), "error": cad},
+        "description": {"letter": None if cad is None else choose_letter(cad), "error": cad},
         "robots": task.source.robots,
         "source": {"repository": task.source.repository, "commit": task.source.commit or None},
         "logs": list(task.training),
@@ -106,14 +106,14 @@ def robot_document(task: Task, numbers: dict[str, Any], error: float, cad: float
 
 
 def _verdict(error: float, cad: float | None) -> str:
-    letter = LETTERS.letter(error)
+    letter = choose_letter(error)
     first = (
         f"**{letter}**: as built it predicts motion that was not fitted to {format_share(error)}"
     )
     if cad is None:
         return first + " of the torque. There is no maker's description with masses."
     return (
-        f"{first} of the torque. The description as it is: **{LETTERS.letter(cad)}**,"
+        f"{first} of the torque. The description as it is: **{choose_letter(cad)}**,"
         f" {format_share(cad)} ([the rule](index.md))."
     )
 
@@ -206,13 +206,13 @@ def _tested(task: Task) -> str:
 
 def _index_line(task: Task, numbers: dict[str, Any], error: float, cad: float | None) -> str:
     named = sorted({name for name, *_ in _found(numbers)})
-    described = MISSING if cad is None else f"{LETTERS.letter(cad)} ({format_share(cad)})"
+    described = MISSING if cad is None else f"{choose_letter(cad)} ({format_share(cad)})"
     masses = numbers["masses"]
     ratio = MISSING
     if masses and masses["cad"]:
         ratio = f"{masses['as_built'] / masses['cad']:.2f}"
     return (
-        f"| [{task.title}]({task.name}.md) | **{LETTERS.letter(error)}** ({format_share(error)}) |"
+        f"| [{task.title}]({task.name}.md) | **{choose_letter(error)}** ({format_share(error)}) |"
         f" {described} | {ratio} | {', '.join(named) or 'none'} |"
     )
 

@@ -155,8 +155,7 @@ class Child:
         limits = [memory, seconds, os.getcwd(), disk]
         if not seconds:
             return self._ask(request, [*limits, ""], largest)
-        with open_scratch() as scratch:
-            watch = _Watch(self._process, seconds, disk, Path(scratch))
+        with open_scratch() as scratch, Watch(self._process, seconds, scratch, disk) as watch:
             try:
                 return self._ask(request, [*limits, scratch], largest)
             except BaseException as problem:
@@ -164,8 +163,6 @@ class Child:
                 if isinstance(problem, ChildEnded):
                     raise ChildEnded(problem.status, watch.stopped) from None
                 raise
-            finally:
-                watch.finish()
 
     def _ask(self, request: bytes, limits: Sequence[Any], largest: float) -> list[bytearray]:
         """Send a request with its limits, and return the answer."""
@@ -201,14 +198,28 @@ class Child:
             return self.end(kill=True)
 
 
-class _Watch:
-    """End a child that computes nothing for long, or fills its folder of temporary files.
+class Watch:
+    """End a process that computes nothing for long, or fills its folder of temporary files.
 
-    A call that is watched runs in one thread; this one looks at the child's process from another.
+    In a `with` statement, in whose thread the process is waited for; this one looks at it from
+    another. The process is killed where the statement ends with an error, such as Ctrl-C.
+
+    Parameters
+    ----------
+    process
+        What is watched.
+    seconds
+        CPU time that it should need [s], for where the system does not tell what it used.
+    scratch, disk
+        Folder of its temporary files, and the bytes that they may have.
     """
 
     def __init__(
-        self, process: subprocess.Popen[bytes], seconds: float, disk: int | None, scratch: Path
+        self,
+        process: subprocess.Popen[bytes],
+        seconds: float,
+        scratch: str = "",
+        disk: float | None = None,
     ) -> None:
         self.stopped = ""
         self._process = process
@@ -217,7 +228,16 @@ class _Watch:
         self._scratch = scratch
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> Watch:
         self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_rest: object) -> None:
+        if kind is not None:
+            self._process.kill()
+        self._done.set()
+        self._thread.join()
 
     def _look(self) -> None:
         began = moved = time.monotonic()
@@ -237,11 +257,6 @@ class _Watch:
                 self._process.kill()
                 return
 
-    def finish(self) -> None:
-        """Look no more."""
-        self._done.set()
-        self._thread.join()
-
 
 def read_cpu_time(process: int) -> float | None:
     """Return the CPU time [s] that a process has used; None if the system does not tell."""
@@ -253,32 +268,8 @@ def read_cpu_time(process: int) -> float | None:
         return None
 
 
-def communicate_moving(process: subprocess.Popen[bytes]) -> tuple[bytes, bytes] | None:
-    """Return output and errors of a process once it ends; None if it was still too long and killed.
-
-    Still for `STILL` seconds; where the system does not tell CPU time, for `SLOWEST` times that.
-    """
-    known = -1.0
-    unseen = 0
-    while True:
-        try:
-            return process.communicate(timeout=STILL)
-        except subprocess.TimeoutExpired:
-            used = read_cpu_time(process.pid)
-            unseen += used is None
-            if used == known or unseen > SLOWEST:
-                process.kill()
-                process.communicate()
-                return None
-            known = -1.0 if used is None else used
-        except BaseException:
-            # Ctrl-C, too, leaves no process behind.
-            process.kill()
-            raise
-
-
-def _list_sizes(folder: Path) -> Iterator[int]:
-    """Yield the sizes [bytes] of the files in a folder, which may vanish meanwhile."""
+def _list_sizes(folder: str) -> Iterator[int]:
+    """Yield the sizes [bytes] of the files in a folder, which may vanish; nothing of no folder."""
     for place, _, names in os.walk(folder):
         for name in names:
             with contextlib.suppress(OSError):

@@ -53,6 +53,11 @@ def make_plain(value: Any) -> Any:
     >>> make_plain({"a": np.array([1.0, np.nan]), "b": (True, "x")})
     {'a': [1.0, None], 'b': [True, 'x']}
     """
+    # Most of a document: it is passed through without asking further.
+    if type(value) in (bool, int, str, NoneType):
+        return value
+    if type(value) is float:
+        return value if math.isfinite(value) else None
     if is_dataclass(value) and not isinstance(value, type):
         return {
             _choose_key(item): (item.metadata.get("encode") or make_plain)(
@@ -63,11 +68,10 @@ def make_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): make_plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return make_plain(value.tolist())
+        finite = value.dtype.kind in "biuf" and bool(np.all(np.isfinite(value)))
+        return value.tolist() if finite else make_plain(value.tolist())
     if isinstance(value, list | tuple):
         return [make_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
     return str(value) if isinstance(value, os.PathLike) else value
 
 
@@ -204,7 +208,7 @@ def _decode_array(value: Any, number: Any, missing: float) -> Any:
         raise TypeError("expected an array of numbers")
     if found.dtype.kind == "f" and not np.all(np.isfinite(found)):
         raise ValueError("expected finite numbers")
-    array = np.array(value, dtype=number)
+    array = found.astype(number)
     if found.dtype == object:
         array[np.isnan(array)] = missing
     return array

@@ -355,43 +355,30 @@ class Table:
         most
             Rows shown; None: all that a short text shows.
         """
-        columns = [column for column in self.columns if full or not column.detail]
-        rows = (
-            self.rows
-            if full or self.important is None
-            else [self.rows[place] for place in self.important]
-        )[:most]
-        body = [
-            [
-                _replace_unprintable(column.shown(cell))
-                for column, cell in zip(self.columns, row, strict=True)
-                if full or not column.detail
-            ]
-            for row in rows
+        places = range(len(self.rows)) if full or self.important is None else self.important
+        rows = [self.rows[place] for place in places][:most]
+        shown = [k for k, column in enumerate(self.columns) if full or not column.detail]
+        columns = [self.columns[k] for k in shown]
+        cells = [
+            [_replace_unprintable(self.columns[k].shown(row[k])) for row in rows] for k in shown
         ]
-        legend = [] if full else _number_names(body, columns)
+        legend = [] if full else _number_names(cells, columns)
         if not full:
-            body = [
-                [
-                    shorten_text(text, c.width or len(text))
-                    for text, c in zip(row, columns, strict=True)
-                ]
-                for row in body
+            cells = [
+                [shorten_text(text, column.width or len(text)) for text in texts]
+                for texts, column in zip(cells, columns, strict=True)
             ]
-        cells = [_align_cells([row[k] for row in body], c.align) for k, c in enumerate(columns)]
-        heads = [[column.header for column in columns]]
-        if any(column.unit for column in columns):
-            heads.append([column.unit for column in columns])
-        widths = [
-            max(map(len, (*names, *texts)))
-            for names, texts in zip(zip(*heads, strict=True), cells, strict=True)
+        cells = [
+            _align_cells(texts, column.align) for texts, column in zip(cells, columns, strict=True)
         ]
+        widths = _measure_columns(cells, columns)
         if not full:
             widths = _narrow_columns(widths, columns)
-        rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
         lines = [self.title if full else wrap_text(self.title)] if self.title else []
-        lines += [_format_line(head, widths, columns) for head in heads]
-        lines.append(rule)
+        lines.append(_format_line([column.header for column in columns], widths, columns))
+        if any(column.unit for column in columns):
+            lines.append(_format_line([column.unit for column in columns], widths, columns))
+        lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
         lines += [_format_line(row, widths, columns) for row in zip(*cells, strict=True)]
         if len(rows) < len(self.rows):
             lines.append(f"... {len(self.rows) - len(rows)} more rows")
@@ -450,28 +437,32 @@ def _replace_unprintable(text: str) -> str:
     return "".join(character if character.isprintable() else " " for character in text)
 
 
-def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]:
+def _number_names(cells: list[list[str]], columns: Sequence[Column]) -> list[str]:
     """Replace names that do not fit their column by numbers; return the lines of a legend.
 
-    A name is a text without spaces, which could only be cut in the middle.
+    `cells` are the texts by column. A name is a text without spaces, which could only be cut in the
+    middle.
     """
-    widths = [
-        max(len(column.header), len(column.unit), *(len(row[k]) for row in body), 0)
-        for k, column in enumerate(columns)
-    ]
-    fitted = _narrow_columns(widths, columns)
+    fitted = _narrow_columns(_measure_columns(cells, columns), columns)
     legend = list[str]()
-    for k, column in enumerate(columns):
-        room = min(fitted[k], column.width or WIDTH)
-        names = list(dict.fromkeys(row[k] for row in body))
-        if column.align != "left" or all(len(n) <= room or " " in n for n in names):
+    for texts, column, width in zip(cells, columns, fitted, strict=True):
+        room = min(width, column.width or WIDTH)
+        names = list(dict.fromkeys(texts))
+        if column.align != "left" or all(len(name) <= room or " " in name for name in names):
             continue
         number = {name: str(at) for at, name in enumerate(names, start=1) if " " not in name}
-        for row in body:
-            row[k] = number.get(row[k], row[k])
+        texts[:] = [number.get(text, text) for text in texts]
         listed = ", ".join(f"{at} {name}" for name, at in number.items())
         legend.append(wrap_text(listed, f"{column.header}: "))
     return legend
+
+
+def _measure_columns(cells: Sequence[Sequence[str]], columns: Sequence[Column]) -> list[int]:
+    """Return how wide columns are with their heads."""
+    return [
+        max(map(len, (column.header, column.unit, *texts)))
+        for texts, column in zip(cells, columns, strict=True)
+    ]
 
 
 def _is_number(text: str) -> bool:

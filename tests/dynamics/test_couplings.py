@@ -27,7 +27,7 @@ from asbuilt.dynamics import (
 )
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.momentum import generalised_momentum
+from asbuilt.dynamics.momentum import Momentum
 from coupled_robots import palletizer
 
 NAMES = ("a1", "a2", "a3", "a6", "f1", "level", "f2", "f3")
@@ -121,7 +121,7 @@ def test_regressor_gives_the_torques_and_any_of_its_columns(
 
 def test_momentum_poses_and_energy(robot: RobotModel, states: np.ndarray) -> None:
     q, qd, _ = states
-    p, gradient = generalised_momentum(robot, q, qd)
+    p, gradient = Momentum(robot, robot.parameters.reshape(-1, 10))(q, qd)
     np.testing.assert_allclose(p, np.einsum("sij,sj->si", mass_matrix(robot, q), qd), atol=1e-12)
     C = coriolis_matrix(robot, q, qd)
     np.testing.assert_allclose(gradient, np.einsum("sji,sj->si", C, qd), atol=1e-11)

@@ -21,7 +21,7 @@ from asbuilt.dynamics import (
 )
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.momentum import generalised_momentum
+from asbuilt.dynamics.momentum import Momentum
 
 ROBOTS = ("dvrk-psm", "dvrk-mtm")
 
@@ -156,7 +156,7 @@ def test_base_parameters_by_two_roads(name: str, count: int) -> None:
 def test_derivatives_momentum_and_gravity(robot: RobotModel, states: np.ndarray) -> None:
     slopes = torque_derivatives(robot, *states)[:, 0]
     q, qd, _ = states
-    p, _ = generalised_momentum(robot, q, qd)
+    p, _ = Momentum(robot, robot.parameters.reshape(-1, 10))(q, qd)
     np.testing.assert_allclose(p, np.einsum("sij,sj->si", mass_matrix(robot, q), qd), atol=1e-12)
     rest = np.zeros_like(q)
     np.testing.assert_allclose(

@@ -80,6 +80,21 @@ def test_base_is_that_of_the_pose(
     assert not {each.code for each in check_free_base(model, found)}
 
 
+def test_samples_that_were_lost_take_their_time(
+    model: RobotModel, pose: Recording, sensed: dict[str, Array]
+) -> None:
+    """A fifth of the samples is lost in gaps of 0.1 s, over which the sensor is integrated."""
+    kept = np.arange(pose.n_samples) % 50 < 40
+    columns = {name: x[kept] for name, x in without_quaternion(sensed).items()}
+    found = read_recording(columns, model=model)
+    up, wanted = base_rotations(found.q)[:, 2], base_rotations(pose.q)[kept, 2]
+    assert np.abs(up - wanted).max() < 0.015
+    assert found.qd is not None
+    assert pose.qd is not None
+    own, true = (np.einsum("sji,sj->si", base_rotations(x.q), x.qd[:, :3]) for x in (found, pose))
+    assert np.sqrt(np.mean((own - true[kept]) ** 2)) < 0.2 * true.std()
+
+
 def test_the_pose_wins_where_both_are_logged(
     model: RobotModel,
     pose: Recording,

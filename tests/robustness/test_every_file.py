@@ -70,7 +70,8 @@ name = "table"
 size = [1, 1, 0.1]
 position = [0.8, 0, -0.4]
 """
-MASSES = """link,part,mass [kg],cx [mm],cy [mm],cz [mm],Ixx,Iyy,Izz,Ixy,Ixz,Iyz
+MASSES = """link,part,mass [kg],cx [mm],cy [mm],cz [mm],\
+Ixx [kg m^2],Iyy [kg m^2],Izz [kg m^2],Ixy [kg m^2],Ixz [kg m^2],Iyz [kg m^2]
 link_1,tube,2.0,100,0,0,0.01,0.02,0.02,0,0,0
 link_2,tube,1.0,100,0,0,0.01,0.02,0.02,0,0,0
 """
@@ -109,9 +110,7 @@ def kinds_of_apps(result: Any) -> dict[str, Kind]:
         found["masses"] = Kind(
             "masses.csv",
             MASSES,
-            lambda path: read_cad_table(
-                path, about="com", products="tensor", length_unit="m", mass_unit="kg"
-            ),
+            lambda path: read_cad_table(path, about="com", products="tensor"),
         )
     if hasattr(asbuilt, "open_ledger"):
         about = json.dumps({"format": "asbuilt fleet ledger", "format_version": 1})

@@ -124,9 +124,13 @@ def test_limits_of_passive_joints_count() -> None:
 def test_limits_beyond_the_reach_are_refused_before_a_search() -> None:
     model = bundled_robot("four-bar")
     loop = replace(model.loops[0], point_a=np.array([0.28, 0.0, 0.0]))
-    short = replace(model, loops=(loop,))
-    with pytest.raises(MotionError, match=r"crank_joint -[\d.]+ to [\d.]+"):
+    # Names of joints may hold spaces.
+    crank = replace(model.joints[0], name="crank joint")
+    posture = {"crank joint": 1.0, "coupler_joint": -0.3, "rocker_joint": 1.6}
+    short = replace(model, loops=(loop,), joints=(crank,), posture=posture)
+    with pytest.raises(MotionError, match=r"crank joint -[\d.]+ to [\d.]+") as caught:
         design_motion(short, DesignOptions(duration=4.0))
+    assert caught.value.joint == "crank joint"
 
 
 @pytest.mark.study

@@ -226,7 +226,7 @@ def _add_commands_of_apps() -> tuple[dict[str, dict[str, Entry]], dict[str, Mapp
             added.setdefault(title, {}).update(entries)
         below |= getattr(module, "SUBCOMMANDS", {})
     groups: dict[str, dict[str, Entry]] = {}
-    for title in (*TABLE, *(each for each in added if each not in TABLE)):
+    for title in (*TABLE, *(name for name in added if name not in TABLE)):
         of_apps = added.get(title, {})
         placed = {name: of_apps.get(name, entry) for name, entry in TABLE.get(title, {}).items()}
         there = {

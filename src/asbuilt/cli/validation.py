@@ -130,7 +130,7 @@ def validate(
         lambda: writers.timelines_of_validations(identified.model, validations, logged)
     )
     comparison = asbuilt.compare(identified, validation=validations)
-    verdicts = [validation.cad_verdict(each) for each in validations]
+    verdicts = [validation.cad_verdict(prediction) for prediction in validations]
     found = decide_validation_verdict(identified, logged, validations, simulated)
     answer(
         as_json,
@@ -188,7 +188,9 @@ def _validate_described(
     from asbuilt.workflow.torque_source import lacks_torque
 
     # Where a log has neither torque nor gains, simulated motion is all there is to compare.
-    with_torque = [each for each in logged if not (options.rollout and lacks_torque(each))]
+    with_torque = [
+        recording for recording in logged if not (options.rollout and lacks_torque(recording))
+    ]
     errors = asbuilt.validate_robot(model, with_torque, options=options) if with_torque else ()
     simulated = asbuilt.roll_out_robot(
         model, logged, options.rollout, options=options, workers=workers
@@ -375,7 +377,7 @@ def feasible(
         as_json,
         lambda: {
             "robot": identified.robot,
-            "quantities": [each.as_dict() for each in found],
+            "quantities": [interval.as_dict() for interval in found],
             "condition": condition,
         },
         lambda: writers.feasible_table(found, condition).as_text(full),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, read_only
-from asbuilt.codec import make_plain, store_as
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
     derive_coupling,
-    order_tree,
     separate_followers,
     with_rotors,
 )
@@ -40,8 +38,8 @@ from asbuilt.description.structure.parts import (
     MassRange,
     Mimic,
     Symbols,
-    ancestors,
 )
+from asbuilt.description.structure.robot import RobotParts, order_tree
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, join_names
 from asbuilt.tables import Column, Table
@@ -73,7 +71,7 @@ MOST_JOINTS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class RobotModel:
+class RobotModel(RobotParts):
     """Describe a robot: joint i moves link i; every parent precedes its children.
 
     Fixed joints are already merged. Joints that follow others (`mimic`) have no drive and no column
@@ -101,44 +99,6 @@ class RobotModel:
     `contacts` are where forces that nobody measures may act on a robot with a free base.
     `source` says where the description came from, `citation` whose facts they are.
     """
-
-    name: str
-    joints: tuple[Joint, ...]
-    links: tuple[Link, ...]
-    gravity: Array = field(default_factory=lambda: np.array(USUAL_GRAVITY))
-    root_link: str = "root"
-    frames: tuple[Frame, ...] = ()
-    followers: tuple[Joint, ...] = ()
-    loops: tuple[Loop, ...] = ()
-    posture: Mapping[str, float] = field(default_factory=dict)
-    lengths: Mapping[str, float] = field(default_factory=dict)
-    drives_by_design: bool = True
-    motor_coupling: Array | None = None
-    locked_joints: Mapping[str, float] = field(default_factory=dict)
-    held_followers: Mapping[str, str] = field(default_factory=dict)
-    assumed_carriers: tuple[str, ...] = ()
-    mass_ranges: tuple[MassRange, ...] = field(
-        default=(),
-        metadata=store_as(
-            encode=lambda ranges: [[*make_plain(known).values()] for known in ranges],
-            decode=lambda ranges: tuple(
-                MassRange(tuple(links), lower, np.inf if upper is None else upper)
-                for links, lower, upper in ranges
-            ),
-        ),
-    )
-    usual_drive: str = ""
-    contacts: tuple[Contact, ...] = field(
-        default=(),
-        metadata=store_as(
-            encode=lambda contacts: [*map(str, contacts)],
-            decode=lambda texts: Contact.parse(",".join(texts)) if texts else (),
-        ),
-    )
-    described_gravity: Array | None = None
-    source: str = ""
-    citation: str = ""
-    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         gravity = read_only(self.gravity)
@@ -183,8 +143,9 @@ class RobotModel:
                 f"{self.name}: joint {passive[0]!r} is passive, but no loop places it; give the"
                 " loops, or a motor"
             )
-        # loops are closed when they are first needed; readers of files ask for it at once
-        assert self.loops or self.joint_map.of_links.size
+        if not self.loops:
+            # Contradictory couplings are refused here; loops are closed when first needed.
+            self.closed()
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -208,7 +169,7 @@ class RobotModel:
                     f"{self.name}: motor_coupling must be {len(self.joints)} x {len(self.joints)}"
                     f" finite numbers, got {coupling.shape}"
                 )
-            if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(self.joint_map, OneToOne):
+            if abs(np.linalg.det(coupling)) < 1e-9 and self.is_one_to_one:
                 raise DescriptionError(
                     f"{self.name}: motor_coupling is singular: some motion of the joints turns no"
                     f" motor; got {coupling.tolist()}"
@@ -241,16 +202,6 @@ class RobotModel:
             for joint, link in zip(self.moving_joints, self.links, strict=True)
         )
         return Table(columns, rows, title=f"{self.name}: {self.n_joints} joints")
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints: columns of a log, and drives."""
-        return len(self.joints)
-
-    @property
-    def n_links(self) -> int:
-        """Number of moving links, each with ten inertial parameters."""
-        return len(self.links)
 
     @property
     def has_masses(self) -> bool:
@@ -323,34 +274,6 @@ class RobotModel:
         held = dict.fromkeys(self.joint_names[: self.n_floating], 0.0)
         return replace(self.locked(held), locked_joints=self.locked_joints) if held else self
 
-    def placed(self, name: str) -> tuple[int, Array]:
-        """Return link and placement (4, 4) of a frame or a link by its name.
-
-        Raises `DescriptionError` where there is none that moves.
-        """
-        moving = self.moving_places
-        if name not in moving:
-            raise DescriptionError(
-                f"{self.name} has no moving link or frame {name!r}; it has {', '.join(moving)}",
-                value=name,
-                available=[*moving],
-            )
-        return moving[name]
-
-    @property
-    def moving_places(self) -> dict[str, tuple[int, Array]]:
-        """Link and pose (4, 4) in it by name, of the links and frames that move."""
-        return {name: place for name, place in self.places.items() if place[0] != ROOT}
-
-    @property
-    def places(self) -> dict[str, tuple[int, Array]]:
-        """Link and pose (4, 4) in it by name, of the root link (`ROOT`), links and frames."""
-        found = {self.root_link: (ROOT, np.eye(4))}
-        found |= {link.name: (k, np.eye(4)) for k, link in enumerate(self.links)}
-        for frame in self.frames:
-            found.setdefault(frame.name, (frame.link, frame.placement))
-        return found
-
     @property
     def link_joints(self) -> tuple[int, ...]:
         """Coordinate that moves the joint of each link, counted from 0; of several the foremost.
@@ -394,31 +317,6 @@ class RobotModel:
             link = up
         return link
 
-    @property
-    def link_order(self) -> tuple[int, ...]:
-        """The links in an order in which parents come before what they carry."""
-        return tuple(order_tree(self.name, self.moving_joints, self.n_joints))
-
-    @property
-    def moving_joints(self) -> tuple[Joint, ...]:
-        """The joint that moves each link: those with a drive, then those that follow them."""
-        return (*self.joints, *self.followers)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joint names in model order."""
-        return tuple(joint.name for joint in self.joints)
-
-    @property
-    def link_names(self) -> tuple[str, ...]:
-        """Link names in model order."""
-        return tuple(link.name for link in self.links)
-
-    @property
-    def parents(self) -> tuple[int, ...]:
-        """Index of the parent of each link, ROOT for the root."""
-        return tuple(joint.parent for joint in self.moving_joints)
-
     @cached_property
     def joint_map(self) -> JointMap:
         """How the joints of all links move with the coordinates."""
@@ -427,7 +325,7 @@ class RobotModel:
             from asbuilt.description.structure.closure import derive_closure  # noqa: PLC0415
 
             return derive_closure(self)
-        if all(joint.mimic is None for joint in self.moving_joints):
+        if self.is_one_to_one:
             return OneToOne(self.n_joints)
         return derive_coupling(self)
 
@@ -437,8 +335,8 @@ class RobotModel:
         return cast("Closure", self.joint_map) if self.loops else None
 
     def closed(self) -> RobotModel:
-        """Return the robot itself; raises `DescriptionError` where its loops do not close."""
-        # Deriving the map closes the loops once.
+        """Return the robot itself; raises `DescriptionError` where its joints cannot move so."""
+        # Deriving the map resolves the couplings, or closes the loops, once.
         _ = self.joint_map
         return self
 
@@ -456,24 +354,6 @@ class RobotModel:
             f" {self.name} has closed chains ({names})",
             loops=[str(loop) for loop in self.loops],
         )
-
-    @property
-    def joined_points(self) -> tuple[tuple[int, Array], ...]:
-        """Links and points (3,) in their axes at which loops hold them together, two a loop."""
-        return tuple(
-            self.place_of(*end) for loop in self.loops if loop.kind != "joint" for end in loop.ends
-        )
-
-    def place_of(self, name: str, point: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[int, Array]:
-        """Return link and point (3,) in its axes for a point of a link, a frame or the root link.
-
-        Raises `DescriptionError` for another name.
-        """
-        if name not in self.places:
-            there = ", ".join((self.root_link, *self.link_names))
-            raise DescriptionError(f"{self.name} has no link {name!r}; it has {there}")
-        link, at = self.places[name]
-        return link, at[:3, :3] @ np.asarray(point, dtype=np.float64) + at[:3, 3]
 
     def _set_passive_joints(self) -> None:
         """Take the joints of loops that have no motor for passive."""
@@ -496,7 +376,7 @@ class RobotModel:
     @cached_property
     def tree(self) -> RobotModel:
         """The robot with a drive at every joint, in the order of `joint_map`; or itself."""
-        if isinstance(self.joint_map, OneToOne):
+        if self.is_one_to_one:
             return self
         joints, links, frames = self.in_tree_order()
         return replace(
@@ -517,18 +397,7 @@ class RobotModel:
 
         Its motors that are no joints turn rotors without weight.
         """
-        return with_rotors(self)
-
-    def in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
-        """Return the joints of all links, links and frames, parents before their children."""
-        every = self.moving_joints
-        order = self.link_order
-        place = {link: i for i, link in enumerate(order)} | {ROOT: ROOT}
-        return (
-            tuple(replace(every[k], parent=place[every[k].parent]) for k in order),
-            tuple(self.links[k] for k in order),
-            tuple(replace(frame, link=place[frame.link]) for frame in self.frames),
-        )
+        return with_rotors(self, self.motor_shares)
 
     def _set_followers_apart(self) -> None:
         """Move joints that follow others behind those that have a drive."""
@@ -586,10 +455,6 @@ class RobotModel:
         by_link = self.joint_map.by_link
         shares = moved.shares[..., np.argsort(self.joint_map.order), :]
         return TreeMotion(by_link(moved.q), by_link(moved.qd), by_link(moved.qdd), shares)
-
-    def ancestors(self, joint: int) -> tuple[int, ...]:
-        """Return the links from the root to the link of `joint`, itself included, in order."""
-        return tuple(ancestors(self.moving_joints, joint))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:
         """Return the same robot with other standard inertial parameters, shape (10 n,).

@@ -352,8 +352,9 @@ def _report_link(build: _Build, slips: Sequence[_Misreading]) -> Finding:
     if slips:
         message += f"; its {' or its '.join(slip.claim for slip in slips)}"
     cure = Cure("correct it in the description, or compute masses from shapes", call="link_masses")
-    code = "implausible_density" if dense else "inertia_too_large"
-    return make_link_finding(code, "error", build.name, message, cure)
+    if dense:
+        return make_link_finding("implausible_density", "error", build.name, message, cure)
+    return make_link_finding("inertia_too_large", "error", build.name, message, cure)
 
 
 def _describe_build(build: _Build) -> str:

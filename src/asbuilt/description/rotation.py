@@ -254,6 +254,16 @@ def placement(rotation: ArrayLike | None = None, translation: ArrayLike | None =
     return T
 
 
+def straighten_placement(pose: Array, what: str, notes: list[str]) -> Array:
+    """Return a pose with exact right angles where roll, pitch and yaw are near them, with notes."""
+    rpy = rpy_from_rotation(pose[:3, :3]).tolist()
+    exact = [
+        straighten_angle(angle, f"{name} of {what}", notes)
+        for name, angle in zip(("roll", "pitch", "yaw"), rpy, strict=True)
+    ]
+    return pose if exact == rpy else placement(rotation_from_rpy(exact), pose[:3, 3])
+
+
 def compose_placements(*placements: Array) -> Array:
     """Return the product of placements with right angles kept exact."""
     T = np.eye(4)

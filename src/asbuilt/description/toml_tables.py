@@ -515,10 +515,8 @@ def _explain_error(source: str, content: dict[str, Any], error: ValidationError)
 
 
 def _step_inside(table: Any, step: int | str) -> Any:
-    if isinstance(table, dict):
-        return table.get(str(step))
-    return (
-        table[step]
-        if isinstance(table, list) and isinstance(step, int) and step < len(table)
-        else None
-    )
+    """Return what stands at a step of a place, None where the step leads nowhere."""
+    try:
+        return table[step]
+    except (KeyError, IndexError, TypeError):
+        return None

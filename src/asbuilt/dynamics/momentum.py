@@ -13,12 +13,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.batches import inertial_parameters, shape_joint_samples
 
 
 @part
@@ -134,37 +132,12 @@ def write_lag(share, x, start, out):
             out[k, j] = y
 
 
-def generalised_momentum(
-    model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
-) -> tuple[Array, Array]:
-    """Return `p = M(q) qd` and `C(q, qd)^T qd` of the rigid bodies, two of the shape of `q`.
-
-    `C^T qd = dM/dt qd - C qd` is the gradient of kinetic energy by position, so it is the same for
-    every factor C with `dM/dt = C + C^T`.
-
-    Parameters
-    ----------
-    model
-        The robot.
-    q, qd
-        Positions [rad or m] and velocities, shape (n,) or (N, n).
-    parameters
-        Standard inertial parameters (10 n_links,), by default the model's own.
-
-    Raises
-    ------
-    UsageError
-        For shapes that do not fit, and values that are not finite.
-    """
-    qs, qds = shape_joint_samples(model, q=q, qd=qd)
-    p, gradient = Momentum(model, inertial_parameters(model, parameters))(qs, qds)
-    return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
-
-
 class Momentum:
     """Evaluate `p = M(q) qd` and `C(q, qd)^T qd` of states (N, n) that are trusted.
 
-    `chi` (n_links, 10) are the inertial parameters; the states are contiguous doubles.
+    `C^T qd = dM/dt qd - C qd` is the gradient of kinetic energy by position, so it is the same for
+    every factor C with `dM/dt = C + C^T`. `chi` (n_links, 10) are the inertial parameters; the
+    states are contiguous doubles.
     """
 
     def __init__(self, model: RobotModel, chi: Array) -> None:

@@ -256,7 +256,7 @@ def compile_drives(drive: DriveSet, values: Array, shares: Array) -> tuple[Indic
         left = own.tolist()
         for term in drive.at(k).terms:
             acts_on = shares[k] if term.of_motor else np.eye(n)[k]
-            stated = {each.name: term.value(each.name) for each in term.nonlinear}
+            stated = {number.name: term.value(number.name) for number in term.nonlinear}
             for column in term.columns:
                 value = left.pop(0)
                 if value and term.is_at(k) and acts_on.any():

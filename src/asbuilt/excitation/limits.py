@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 
 import numpy as np
@@ -25,7 +25,12 @@ TRIED = 100
 ASSUMED_RANGE = (np.pi, 0.5)  # Position limit, +- [rad, m]; one turn, and a short linear axis
 ASSUMED_VELOCITY = (1.5, 0.5)  # Velocity limit [rad/s, m/s]; slow for an arm
 ASSUMED_RAMP = 0.4  # Time to reach the velocity limit [s], gives the acceleration limit
-
+ASSUMED = {
+    "position": ("lower", "upper"),
+    "velocity": ("velocity",),
+    "acceleration": ("acceleration",),
+}
+"""Quantities whose limits are assumed where the description lacks them, and the limits."""
 
 _UNITS = {
     "position": ("rad", "m"),
@@ -51,21 +56,15 @@ class MotionBounds:
     torque: Array
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper", "velocity", "acceleration", "jerk", "torque"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        for field in fields(self):
+            object.__setattr__(self, field.name, read_only(getattr(self, field.name)))
 
     @classmethod
     def of(cls, model: RobotModel) -> MotionBounds:
         """Return the limits that the description gives."""
-        limits = [joint.limits for joint in model.joints]
-        return cls(
-            lower=np.array([limit.lower for limit in limits]),
-            upper=np.array([limit.upper for limit in limits]),
-            velocity=np.array([limit.velocity for limit in limits]),
-            acceleration=np.array([limit.acceleration for limit in limits]),
-            jerk=np.array([limit.jerk for limit in limits]),
-            torque=np.array([limit.torque for limit in limits]),
-        )
+        names = [field.name for field in fields(cls)]
+        limits = [[getattr(joint.limits, name) for name in names] for joint in model.joints]
+        return cls(*np.array(limits, dtype=np.float64).reshape(-1, len(names)).T)
 
     @classmethod
     def assumed(cls, model: RobotModel, fraction: float = 1.0) -> MotionBounds:
@@ -107,6 +106,23 @@ class MotionBounds:
             jerk=fraction * given.jerk,
             torque=fraction * given.torque,
         )
+
+
+def complete_limits(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
+    """Return the robot with complete limits, and the names of those that were assumed."""
+    bounds = MotionBounds.assumed(model)
+    names = [name for limits in ASSUMED.values() for name in limits]
+    limits = [
+        replace(joint.limits, **{name: float(getattr(bounds, name)[j]) for name in names})
+        for j, joint in enumerate(model.joints)
+    ]
+    assumed = dict.fromkeys(
+        quantity
+        for joint in model.joints
+        for quantity, needed in ASSUMED.items()
+        if not all(np.isfinite(getattr(joint.limits, name)) for name in needed)
+    )
+    return model.with_limits(limits), tuple(assumed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,19 +330,20 @@ def refuse_open_postures(model: RobotModel) -> None:
     open_at = np.flatnonzero(~model.joint_map.exists(q))
     if not open_at.size:
         return
-    reach = []
+    reach: dict[str, str] = {}
     for j in range(n):
         line = np.tile(home, (TRIED, 1))
         line[:, j] = np.linspace(low[j], high[j], TRIED)
         closed = line[model.joint_map.exists(line), j]
         if len(closed) < TRIED:
-            reach.append(f"{model.joint_names[j]} {closed.min():.4g} to {closed.max():.4g}")
-    alone = f": alone, with the others at the first posture, {', '.join(reach)}" if reach else ""
+            reach[model.joint_names[j]] = f"{closed.min():.4g} to {closed.max():.4g}"
+    listed = ", ".join(f"{joint} {span}" for joint, span in reach.items())
+    alone = f": alone, with the others at the first posture, {listed}" if reach else ""
     raise MotionError(
         f"{model.name}: the loops do not close everywhere within the limits of the motors"
         f" ({open_at.size} of {len(q)} postures), so that no motion can be searched there",
         cure=Cure(f"narrow the limits of position to where they close{alone}"),
-        joint=next((each.split()[0] for each in reach), model.joint_names[0]),
+        joint=next(iter(reach), model.joint_names[0]),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -67,8 +68,10 @@ class TorqueLimit(StateConstraint):
         self._plan = RegressorPlan.of(self._model)
         self._limit = limit
         self._finite = np.flatnonzero(np.isfinite(limit))
-        self._drive, self._values = described_drive(self._model)
-        self._differ = any(term.differs_by_joint for term in self._drive.terms)
+        self._drive, values = described_drive(self._model)
+        self._exact_friction = partial(
+            drive_torque, self._drive, values, shares=self._model.motor_shares
+        )
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque over its limit, (N, models x limited joints)."""
@@ -140,33 +143,15 @@ class TorqueLimit(StateConstraint):
         return found
 
     def _evaluate_friction(self, q: Array, qd: Array, qdd: Array, load: Array) -> Array:
-        if not self._drive:
-            return np.zeros_like(q)
         if self._drive.of_motor.any():
-            return self._evaluate_exact_friction(q, qd, qdd, load)
+            return self._exact_friction(q, qd, qdd, load=load)
         # Width over which the sign in described friction is smoothed for derivatives [rad/s or
         # m/s].
         sign = np.tanh(qd / 0.02)
         away = np.abs(qd) + 1e-12
-        ahead = self._evaluate_exact_friction(q, away, qdd, load)
-        behind = self._evaluate_exact_friction(q, -away, qdd, load)
+        ahead = self._exact_friction(q, away, qdd, load=load)
+        behind = self._exact_friction(q, -away, qdd, load=load)
         return np.asarray(0.5 * ((1 + sign) * ahead + (1 - sign) * behind))
-
-    def _evaluate_exact_friction(self, *state: Array) -> Array:
-        """Return the drive torque (N, n), of all joints at once if only their values differ."""
-        if self._differ or self._drive.of_motor.any():
-            return drive_torque(
-                self._drive,
-                self._values,
-                *state[:3],
-                load=state[3],
-                shares=self._model.motor_shares,
-            )
-        q, qd, qdd, load = (np.ascontiguousarray(x).reshape(-1) for x in state)
-        columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
-        return np.asarray(
-            np.einsum("csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1))
-        )
 
 
 class WeightLimit(TorqueLimit):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -214,6 +214,15 @@ def _predict_described(model: RobotModel, samples: Samples) -> Prediction:
 def torque_units(model: RobotModel) -> tuple[str, ...]:
     """Return the unit of each joint's torque: N m if revolute, N if prismatic."""
     return tuple(joint.torque_unit for joint in model.joints)
+
+
+def name_torque_unit(units: Iterable[str]) -> str:
+    """Return the unit of torques of several joints together, both where only some of them slide.
+
+    >>> name_torque_unit(["N m", "N", "N m"])
+    'N m, N'
+    """
+    return ", ".join(sorted(set(units), reverse=True))
 
 
 def derive_cad_values(result: IdentificationResult, cad: RobotModel) -> Array:

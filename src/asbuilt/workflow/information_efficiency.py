@@ -15,7 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.excitation import InformationEfficiency, MotionBounds, information_efficiency
-from asbuilt.excitation.information.information import complete_limits
+from asbuilt.excitation.limits import complete_limits
 from asbuilt.experiment import Recording, RecordingStream, Samples, head_of
 from asbuilt.experiment.recording import join_recordings
 from asbuilt.findings import Cure, join_names

@@ -337,11 +337,9 @@ def _divide_samples(
 
 
 def _divide_if_enough(
-    whole: Sequence[Samples], holdout: str | None
+    whole: Sequence[Samples], holdout: str
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]] | None:
     """Return the divided samples; None if the filters do not leave enough of every part."""
-    if holdout is None:
-        return None
     try:
         parts = _divide_samples(whole, holdout, shared=True)
     except RecordingError:

@@ -31,7 +31,7 @@ from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.workflow.rollout import Simulated, SimulatedParts
-from asbuilt.workflow.torque_source import MeasuredTorque, TorqueOrigin
+from asbuilt.workflow.torque_source import TorqueOrigin
 
 # Hold lengths of windows, and when a refinement is worth its parameters.
 
@@ -173,7 +173,7 @@ def refine_study(
     horizon = min(max(horizons, default=REFINEMENT_USUAL), REFINEMENT_LONGEST)
     windows = _cut_windows(parts.trained, horizon)
     # Only under commands their law is part of what moves the robot.
-    driving = source if kinds == {"command"} else MeasuredTorque()
+    driving = source if kinds == {"command"} else TorqueOrigin()
 
     def refined(fit: Fit, driving: TorqueOrigin, begin: Array | None = None) -> RefinedFit:
         return refine_fit(

@@ -128,6 +128,11 @@ class CommandedTorque(TorqueOrigin):
     servo: ServoEstimate
 
     @property
+    def is_measured(self) -> bool:
+        """They are not."""
+        return False
+
+    @property
     def expected(self) -> MeanScores | None:
         """Scores that noise of the positions lends the parameters through the law."""
         return self.servo.expected

@@ -34,7 +34,7 @@ from asbuilt.workflow.prepare import (
 )
 from asbuilt.workflow.study_options import BLOCKS, StudyOptions
 from asbuilt.workflow.study_result import Study, conclude_study
-from asbuilt.workflow.torque_source import MeasuredTorque, TorqueOrigin
+from asbuilt.workflow.torque_source import TorqueOrigin
 
 if TYPE_CHECKING:
     from asbuilt.workflow.rollout import Simulated
@@ -168,7 +168,7 @@ def settle_torque(
     some serve others too. Raises `UsageError` where recordings have torques of different kinds.
     """
     if not any(map(_has_drive_law, (*recordings, *validation))):
-        return [*recordings], [*validation], MeasuredTorque(), options
+        return [*recordings], [*validation], TorqueOrigin(), options
     from asbuilt.workflow.servo import settle_servo  # noqa: PLC0415 - light start
 
     return settle_servo(model, recordings, validation, options, filters)

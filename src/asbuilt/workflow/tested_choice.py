@@ -55,12 +55,12 @@ class LeftOut:
         Of other motion alone, or even of what repeats the motion fitted.
         """
         samples = [
-            each
-            for each in prepared.unseen
-            if even_repeated or measure_repeated_share(prepared.training, each) <= REPEATED
+            recording
+            for recording in prepared.unseen
+            if even_repeated or measure_repeated_share(prepared.training, recording) <= REPEATED
         ]
         seen = _accumulate_for(fit, samples)
-        if sum(each.n_blocks for each in seen) < FEWEST_BLOCKS:
+        if sum(information.n_blocks for information in seen) < FEWEST_BLOCKS:
             return None
         return cls(fit, samples, seen, measure_block_errors(seen, fit.estimate.beta))
 
@@ -104,7 +104,7 @@ def _accumulate_for(fit: Fit, samples: Iterable[Samples]) -> list[SquareRootInfo
     model = fit.model
     if fit.base.drive.needs_load:
         model = set_link_parameters(model, fit.base, fit.estimate.beta)
-    return [accumulate_stream(model, fit.base, [each]) for each in samples]
+    return [accumulate_stream(model, fit.base, [recording]) for recording in samples]
 
 
 def drop_parameters(estimate: Estimate, places: Indices) -> Array:

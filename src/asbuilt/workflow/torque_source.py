@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 class TorqueOrigin:
     """Say where the torques of a study come from, and what of that is to be identified.
 
-    A study asks by these methods. Here nothing is to be identified; an origin overrides its part.
+    A study asks by these methods. Here torques were measured, by a sensor or as the current of a
+    motor, and nothing is to be identified; another origin overrides its part.
     """
 
     @property
@@ -55,7 +56,7 @@ class TorqueOrigin:
     @property
     def is_measured(self) -> bool:
         """Whether delays, effects and errors of single recordings are those of a sensor."""
-        return False
+        return True
 
     @property
     def decisive_horizons(self) -> tuple[float, ...]:
@@ -90,15 +91,6 @@ class TorqueOrigin:
     def findings(self, model: RobotModel, drive: DriveSet) -> Iterable[Finding]:
         """Return what is worth knowing of it."""
         return ()
-
-
-class MeasuredTorque(TorqueOrigin):
-    """Say that torques were measured, by a sensor or as the current of a motor."""
-
-    @property
-    def is_measured(self) -> bool:
-        """They are."""
-        return True
 
 
 def lacks_torque(item: Recorded) -> bool:

@@ -50,6 +50,9 @@ def quote_yaml(text: str) -> str:
     "a \U00000022b\U00000022 \U0000540d"
     """
     plain = (
-        each if " " <= each <= "~" and each not in '"\\' else f"\\U{ord(each):08x}" for each in text
+        character
+        if " " <= character <= "~" and character not in '"\\'
+        else f"\\U{ord(character):08x}"
+        for character in text
     )
     return f'"{"".join(plain)}"'

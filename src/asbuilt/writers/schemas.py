@@ -44,4 +44,4 @@ def _drop_infinite_defaults(part: Any) -> Any:
             for name, value in part.items()
             if not isinstance(value, float) or math.isfinite(value)
         }
-    return [_drop_infinite_defaults(each) for each in part] if isinstance(part, list) else part
+    return [_drop_infinite_defaults(item) for item in part] if isinstance(part, list) else part

@@ -114,7 +114,7 @@ def _list_samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[
             yield time, names, np.ascontiguousarray(torque)
         return
     for k, name in enumerate(names):
-        for time, value in zip(*(each.tolist() for each in track.joint(k)), strict=True):
+        for time, value in zip(*(values.tolist() for values in track.joint(k)), strict=True):
             yield time, [name], np.array([value])
 
 
@@ -259,7 +259,7 @@ class Timeline:
     def start(self) -> float:
         """First time [s] of anything in it."""
         times = [self.t, *(track.t for track in self.tracks)]
-        firsts = [float(each.min()) for each in times if each.size]
+        firsts = [float(instants.min()) for instants in times if instants.size]
         return min([*firsts, *(mark.time for mark in self.marks)], default=0.0)
 
 
@@ -308,7 +308,7 @@ def _interpolate_positions(
     ]
     if not own:
         return none
-    recording = max(own, key=lambda each: len(each.source))
+    recording = max(own, key=lambda head: len(head.source))
     valid = np.all(np.isfinite(recording.q), axis=1)
     if not valid.any():
         return none

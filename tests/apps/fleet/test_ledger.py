@@ -26,7 +26,7 @@ from asbuilt import (
     rebuild_ledger,
 )
 from asbuilt.apps.fleet import Addition
-from asbuilt.apps.fleet.reduction.add import make_identity_finder
+from asbuilt.apps.fleet.reduction.log_source import make_identity_finder
 from asbuilt.errors import IdentifiabilityError, RecordingError, ResultError, UsageError
 from asbuilt.experiment import prepare_samples, read_recording
 from asbuilt.identification import identify_samples

@@ -30,8 +30,8 @@ from asbuilt import (
 )
 from asbuilt.apps.fleet import Addition
 from asbuilt.apps.fleet.ledger.entry import EntryName, digest_content
-from asbuilt.apps.fleet.ledger.store import check_robot_id, find_identity
-from asbuilt.apps.fleet.reduction.add import make_identity_finder
+from asbuilt.apps.fleet.ledger.store import check_robot_id
+from asbuilt.apps.fleet.reduction.log_source import find_identity, make_identity_finder
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.workflow import StudyOptions
 from asbuilt.writing import _OWNER

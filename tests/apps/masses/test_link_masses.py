@@ -289,3 +289,8 @@ def test_a_mesh_that_cannot_be_read_is_the_reason_why_nothing_is_written(tmp_pat
     said = " ".join(capsys.readouterr().err.split())
     assert "no mass properties were computed: link l0:" in said
     assert "part.stl" in said
+
+
+def test_conventions_of_a_table_need_a_table():
+    with pytest.raises(UsageError, match="conventions of a table"):
+        link_masses(load_robot("two-link"), density=2700.0, about="com", products="tensor")

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 import asbuilt
-from asbuilt import Recording
-from asbuilt.apps.run import DRIVERS, DriverRequest
+from asbuilt import Recording, load_robot, random_fourier
+from asbuilt.apps.run import DRIVERS, DriverRequest, RunOptions, open_driver
+from asbuilt.apps.run.folder import RunFolder, RunSettings
 from asbuilt.excitation import Motion
 from command_line import call
 
@@ -219,6 +220,7 @@ def test_metal_moves_only_when_confirmed(
         (("--on", "virtual", "--until", "0"), "--until is 0"),
         (("--on", "virtual", "--for", "fun"), "torque, simulator, payload"),
         (("--on", "files:box", "--program", "nothing"), "unknown program"),
+        (("--on", "virtual", "--program", "csv"), "runs no controller program"),
     ],
 )
 def test_wrong_usage_is_one_error(
@@ -241,6 +243,34 @@ def test_folder_of_a_loop_is_not_overwritten(
     status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path / "none")
     assert status == 2
     assert "holds no loop to resume" in err
+
+
+def test_a_motion_never_takes_the_number_of_another(tmp_path: Path) -> None:
+    robot = load_robot("two-link")
+    driver = open_driver("files", DriverRequest(model=robot, argument=str(tmp_path)))
+    first, second, third = (random_fourier(robot, seed, duration=4.0) for seed in range(3))
+    for motion in (first, second):
+        driver.waits_for(motion)  # type: ignore[attr-defined]
+    (tmp_path / "outbox" / "motion_1.csv").unlink()
+    assert "motion_2.csv" in driver.waits_for(second)  # type: ignore[attr-defined]
+    assert "motion_3.csv" in driver.waits_for(third)  # type: ignore[attr-defined]
+
+
+def test_a_resumed_loop_goes_on_as_it_was_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = RunOptions(rounds=2, seconds=4.0)
+    settings = RunSettings(robot="two-link", on="virtual", options=options)
+    RunFolder(tmp_path).keep_settings(settings)
+    for given, said in (
+        (("--seconds", "30"), "--seconds is another one"),
+        (("--for", "payload"), "--for is another one"),
+        (("--motion", tmp_path / "motion.csv"), "--motion is another one"),
+    ):
+        status, _, err = call(capsys, "run", "two-link", "--resume", tmp_path, *given)
+        assert status == 2
+        assert said in err
+    assert RunFolder(tmp_path).read_settings() == settings
 
 
 @pytest.mark.parametrize(

@@ -117,10 +117,14 @@ def test_events_across_chunks_are_one(watched: WatchedRobot) -> None:
     external = np.zeros(watched.record(24, 10.0).q.shape)
     external[800:900, 1] = 40.0
     (event,) = found(watched, watched.record(24, 10.0, external)).events
-    later = replace(event, start=event.end + 0.1, end=event.end + 0.4)
-    (joined,) = join_events((event, later), 1.0)
+    last, first = watched.model.joint_names[-1], watched.model.joint_names[0]
+    event = replace(event, joints=(last,))
+    later = replace(event, start=event.end + 0.1, end=event.end + 0.4, joints=(first,))
+    (joined,) = join_events((event, later), watched.thresholds)
     assert (joined.start, joined.end) == (event.start, later.end)
-    assert len(join_events((event, replace(later, start=event.end + 2.0)), 1.0)) == 2
+    assert joined.joints == (first, last)
+    after = replace(later, start=event.end + 2.0)
+    assert len(join_events((event, after), watched.thresholds)) == 2
 
 
 @pytest.mark.study

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -177,3 +178,15 @@ def test_a_pipe_from_the_command_line(watched: WatchedRobot, tmp_path: Path) -> 
     assert abs(lines[0]["time"] - 4.0) < 0.05
     assert lines[1]["kind"] == "contact"
     assert lines[2]["n_samples"] == 2001
+
+
+def test_an_odd_first_step_is_forgotten(watched: WatchedRobot) -> None:
+    """The causal filter has the pole of the thresholds' rate, whatever the first step is."""
+    log = watched.quiet[0].taken(slice(None, 800, 2))
+    thresholds = replace(watched.thresholds, rate=100.0, filtered=True)
+    regular, odd = (Observer(watched.result, thresholds=thresholds) for _ in range(2))
+    odd.update(float(log.t[0]) - 0.05, log.q[0], log.tau[0])
+    for t, q, tau in zip(log.t.tolist(), log.q, log.tau, strict=True):
+        regular.update(t, q, tau)
+        odd.update(t, q, tau)
+    assert np.abs(odd.residual - regular.residual).max() < 1e-3 * np.abs(regular.residual).max()

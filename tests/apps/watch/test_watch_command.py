@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from watched_robot import WatchedRobot
 
+from asbuilt import UsageError, WatchOptions, watch
 from asbuilt.writers import write_recording, write_result
 from command_line import call, document
 
@@ -92,3 +93,13 @@ def test_what_is_wrong_is_said_without_a_traceback(
         assert words in err, (arguments, err)
         assert "Traceback" not in err
         assert found in (status, 1, 2)
+
+
+def test_thresholds_are_for_what_they_were_set_for(watched: WatchedRobot) -> None:
+    log = watched.record(24, 10.0)
+    for options, said in (
+        (WatchOptions(bandwidth=4.0, checked=False), r"bandwidth \[Hz\] 8, not 4"),
+        (WatchOptions(false_alarms_per_hour=0.1, checked=False), r"rate \[1/h\] 1, not 0.1"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            watch(watched.result, log, thresholds=watched.thresholds, options=options)

@@ -50,6 +50,12 @@ TREE = """
 """
 
 
+def test_right_angles_of_ten_digits_are_exact() -> None:
+    text = TREE.replace('euler="0 0 30"', 'euler="0 90.00000001 0"')
+    before = read_mjcf(text).joints[3].before[:3, :3]
+    assert set(np.abs(before).ravel().tolist()) <= {0.0, 1.0}
+
+
 @pytest.mark.slow
 def test_a_tree_with_every_feature_needs_mujocos_torques():
     model = read_mjcf(TREE)

@@ -105,6 +105,12 @@ WRONG = {
         "<child>l</child></joint></model></sdf>",
         "type 'ball' is not one of",
     ),
+    "a joint as a child": (
+        "<sdf><model name='a'><link name='l'/><joint name='j' type='revolute'>"
+        "<parent>world</parent><child>l</child><axis/></joint><joint name='k' type='revolute'>"
+        "<parent>l</parent><child>j</child><axis/></joint></model></sdf>",
+        "joint 'k': the child link 'j' does not exist",
+    ),
     "half a pose": (
         "<sdf><model name='a'><link name='l'><pose>0 0 0</pose></link></model></sdf>",
         "expected 6 numbers",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description import ROOT, Joint, Link, LinkInertia, RobotModel, placement
+from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.rotation import compose_placements, rotation_x, rotation_z
 from asbuilt.dynamics.base.regrouping_relations import (
     SHIFT_LINEAR,
@@ -22,7 +23,6 @@ from asbuilt.dynamics.base.regrouping_relations import (
     regrouping_relations,
     reversed_echelon,
     row_space,
-    shift_of_rotation,
 )
 
 pin = pytest.importorskip("pinocchio")
@@ -46,7 +46,9 @@ def moved(rotation: np.ndarray, translation) -> np.ndarray:
 def test_parameters_turn_and_move_as_pinocchios():
     p = parameters(BODY)
     turn = rotation_x(0.4) @ TURN
-    np.testing.assert_allclose(shift_of_rotation(turn) @ p, moved(turn, np.zeros(3)), atol=1e-12)
+    np.testing.assert_allclose(
+        shift_matrix(placement(turn)) @ p, moved(turn, np.zeros(3)), atol=1e-12
+    )
     shift = (
         np.eye(10)
         + np.einsum("a,aij->ij", SLIDE, SHIFT_LINEAR)

@@ -21,7 +21,8 @@ from asbuilt.excitation import (
 )
 from asbuilt.excitation.design.design import choose_size
 from asbuilt.excitation.design.designed_motion import locate_base_parameter
-from asbuilt.excitation.design.multistart import Candidate, Deadline, search_all
+from asbuilt.excitation.design.interior_point import Optimum
+from asbuilt.excitation.design.multistart import Deadline, search_all
 from asbuilt.excitation.design.search import Task, share_iterations
 from asbuilt.writers import design_text
 
@@ -390,9 +391,9 @@ def test_a_search_whose_time_is_up_still_has_an_answer() -> None:
     """
     ran: list[int] = []
 
-    def search(number: int) -> Candidate:
+    def search(number: int) -> Optimum:
         ran.append(number)
-        return Candidate(number, np.zeros((1, 1)), float(number))
+        return Optimum(np.zeros((1, 1)), float(number), number=number)
 
     found = search_all(range(5), search, Deadline(0.0))
     assert ran == [0]

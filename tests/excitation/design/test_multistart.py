@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asbuilt.excitation.design.interior_point import Optimum
 from asbuilt.excitation.design.multistart import (
-    Candidate,
     Deadline,
     SearchPool,
     open_pool,
@@ -57,11 +57,11 @@ def test_work_that_cannot_be_handed_over_is_done_here() -> None:
         assert not pool.is_free
 
 
-def candidate(number: int) -> Candidate:
-    return Candidate(number, np.zeros((1, 1)), float(number))
+def candidate(number: int) -> Optimum:
+    return Optimum(np.zeros((1, 1)), float(number), number=number)
 
 
-def slow(number: int) -> Candidate:
+def slow(number: int) -> Optimum:
     time.sleep(0.02)
     return candidate(number)
 

@@ -7,6 +7,7 @@ from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation import Information
+from asbuilt.excitation.information import information as information_module
 from asbuilt.excitation.information.information import DOptimality, mean_information
 
 
@@ -22,7 +23,9 @@ def drawn(n: int, samples: int = 60, seed: int = 0) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "two-link"])
-def test_information_is_the_weighted_gram_matrix_of_the_observations(robot: str) -> None:
+def test_information_is_the_weighted_gram_matrix_of_the_observations(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     model = load_robot(robot)
     noise = np.linspace(0.5, 2.0, model.n_joints)
     model, base, information = prepared(robot, "viscous,coulomb,offset", noise)
@@ -33,7 +36,8 @@ def test_information_is_the_weighted_gram_matrix_of_the_observations(robot: str)
     )
     found = information.matrix(information.rows(*state, smooth=False), 60)
     assert found == pytest.approx(w.T @ w, rel=1e-10, abs=1e-9)
-    assert mean_information(information, *state, at_once=17) == pytest.approx(
+    monkeypatch.setattr(information_module, "AT_ONCE", 17)
+    assert mean_information(information, *state) == pytest.approx(
         w.T @ w / 60, rel=1e-10, abs=1e-10
     )
 

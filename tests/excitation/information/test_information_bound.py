@@ -6,6 +6,7 @@ import pytest
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
+from asbuilt.errors import MotionError
 from asbuilt.excitation import Information, MotionBounds, information_bound, random_fourier
 from asbuilt.excitation.information.information import draw_states, mean_information
 
@@ -79,3 +80,15 @@ def test_more_room_never_lowers_the_bound(two_link) -> None:
     model, _, information, _, _, bound = two_link
     narrow = information_bound(model, information, MotionBounds.assumed(model, 0.5))
     assert narrow.upper < bound.upper
+
+
+def test_a_robot_that_is_nearly_too_heavy_has_a_bound_and_one_that_is_has_an_error() -> None:
+    model = load_robot("kuka-iiwa7-r800")
+    base = find_base_parameters(model, DriveSet.parse("viscous,offset"))
+    information, bounds = Information.of(model, base), MotionBounds.assumed(model)
+    torque = MotionBounds.of(model).torque
+    # Four of the first 1500 random states keep these limits.
+    weak = information_bound(model, information, bounds, torque=0.05 * torque, rounds=1)
+    assert np.isfinite([weak.log_det, weak.upper]).all()
+    with pytest.raises(MotionError, match="too few to determine all base parameters"):
+        information_bound(model, information, bounds, torque=0.005 * torque)

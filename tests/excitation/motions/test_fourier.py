@@ -29,9 +29,12 @@ def test_is_the_series_of_swevers(harmonics: int) -> None:
     motion = FourierMotion(
         np.random.default_rng(harmonics).normal(size=(2 * harmonics - 1, 3)), 12.0
     )
-    q0, a, b = motion.series
-    w = motion.fundamental
+    w = 2 * np.pi / motion.period
     orders = np.arange(1, harmonics + 1)
+    sines, cosines = motion.coefficients[1:harmonics], motion.coefficients[harmonics:]
+    a = w * np.vstack([-sines.sum(axis=0), sines])
+    b = w * np.vstack([-cosines.sum(axis=0), cosines / orders[1:, None]])
+    q0 = motion.coefficients[0] + (b / (w * orders[:, None])).sum(axis=0)
     np.testing.assert_allclose(a.sum(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose(orders @ b, 0, atol=1e-12)
     t = np.linspace(0, 12.0, 200)

@@ -153,3 +153,70 @@ def test_small_table_of_numbers_is_what_polars_reads(tmp_path, monkeypatch, text
     assert list(found) == list(expected)
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values)
+
+
+@pytest.mark.parametrize("separator", [",", ";", " "])
+def test_a_mark_of_the_byte_order_is_no_part_of_a_number(tmp_path, separator):
+    rows = [[f"{x:.2f}" for x in (0.01 * k, 0.1 * k, k)] for k in range(50)]
+    text = "\n".join(separator.join(row) for row in rows)
+    (tmp_path / "log.txt").write_text(text, encoding="utf-8-sig")
+    sheet = {"columns": {"time": 1, "position": [2], "torque": [3]}}
+    (chunk,) = stream_recording(tmp_path / "log.txt", sheet=sheet)
+    for recording in (chunk, read_recording(tmp_path / "log.txt", sheet=sheet)):
+        np.testing.assert_allclose(recording.q[:, 0], 0.1 * np.arange(50))
+        assert recording.n_samples == 50
+
+
+def test_counters_go_on_to_the_last_row_of_a_stream(tmp_path):
+    q = 0.05 * np.arange(301)
+    frame = {"t": 0.01 * np.arange(301), "q_1": q % (2.0 * np.pi), "tau_1": np.cos(q)}
+    pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
+    chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=150))
+    assert [chunk.n_samples for chunk in chunks] == [150, 150, 1]
+    whole = np.concatenate([chunk.q[:, 0] for chunk in chunks])
+    np.testing.assert_allclose(np.diff(whole), 0.05, atol=1e-12)
+
+
+def test_rows_in_the_second_in_which_a_chunk_ends_are_kept(tmp_path):
+    nanoseconds = 1_000_003_000_000 + 10_000_000 * np.arange(400)
+    order = np.arange(400)
+    order[10::50], order[11::50] = order[11::50], order[10::50].copy()
+    q = np.sin(0.05 * np.arange(400))
+    columns = {
+        "stamp.sec": nanoseconds // 10**9,
+        "stamp.nanosec": nanoseconds % 10**9,
+        "q_1": q,
+        "tau_1": np.cos(0.05 * np.arange(400)),
+    }
+    pl.DataFrame(columns)[order].write_csv(tmp_path / "log.csv")
+    chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=150))
+    np.testing.assert_array_equal(np.concatenate([chunk.q[:, 0] for chunk in chunks]), q)
+
+
+def test_a_stream_takes_the_channel_of_torques_that_follows_gravity(tmp_path):
+    robot = load_robot("two-link")
+    recording = simulate_recording(robot, random_fourier(robot, rng=1, duration=10.0), rate=100.0)
+    noise = np.random.default_rng(0).normal(size=recording.tau.shape)
+    columns = {
+        "t": recording.t,
+        **{f"q_{k + 1}": recording.q[:, k] for k in range(2)},
+        **{f"alpha_torque_{k + 1}": noise[:, k] for k in range(2)},
+        **{f"beta_torque_{k + 1}": recording.tau[:, k] for k in range(2)},
+    }
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    chunks = stream_recording(tmp_path / "log.csv", model=robot, chunk_samples=300)
+    tau = np.concatenate([chunk.tau for chunk in chunks])
+    np.testing.assert_allclose(tau, recording.tau, atol=1e-12)
+
+
+@pytest.mark.parametrize("began", [0.0, 1.7e9])
+@pytest.mark.parametrize("chunk_samples", [398, 399])
+def test_rounded_stamps_go_on_to_the_last_row_of_a_stream(tmp_path, began, chunk_samples):
+    t = 0.01 * np.arange(800)
+    stamps = began + np.floor(20.0 * t + 1e-9) / 20.0
+    columns = {"t": stamps, "q_1": np.sin(t), "tau_1": np.cos(t)}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    chunks = list(stream_recording(tmp_path / "log.csv", chunk_samples=chunk_samples))
+    assert [chunk.n_samples for chunk in chunks][2:] == [800 - 2 * chunk_samples]
+    times = np.concatenate([chunk.t for chunk in chunks])
+    np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-6)

@@ -65,6 +65,57 @@ def test_csv(tmp_path: Path, logged: dict) -> None:
     assert_same(read_recording(tmp_path / "log.csv"), logged)
 
 
+@pytest.mark.parametrize(
+    ("clock", "rows"),
+    [
+        ("time_ms", ["0", "300", "600", "1000"]),
+        ("stamp.sec,stamp.nanosec", ["100,0", "100,300000000", "100,600000000", "101,0"]),
+    ],
+)
+def test_files_of_a_quantity_each_keep_the_unit_of_their_clock(
+    tmp_path: Path, clock: str, rows: list[str]
+) -> None:
+    paths = [tmp_path / "run_positions.csv", tmp_path / "run_efforts.csv"]
+    for path, symbol in zip(paths, ("q", "tau"), strict=True):
+        lines = [f"{clock},{symbol}_1,{symbol}_2", *(f"{stamp},1,2" for stamp in rows)]
+        path.write_text("\n".join(lines))
+    recording = read_recording(paths)
+    assert recording.joint_names == ("joint_1", "joint_2")
+    np.testing.assert_allclose(recording.t - recording.t[0], [0.0, 0.3, 0.6, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("angle", "torque"),
+    [("shoulder_pos_deg", "shoulder_eff_mNm"), ("shoulder [deg]", "shoulder [mNm]")],
+)
+def test_files_of_a_quantity_each_keep_the_units_of_their_columns(
+    tmp_path: Path, angle: str, torque: str
+) -> None:
+    (tmp_path / "run_positions.csv").write_text(f"t,{angle}\n0.0,90\n0.1,180\n")
+    (tmp_path / "run_efforts.csv").write_text(f"t,{torque}\n0.0,1500\n0.1,2000\n")
+    recording = read_recording([tmp_path / "run_positions.csv", tmp_path / "run_efforts.csv"])
+    assert recording.joint_names == ("shoulder",)
+    np.testing.assert_allclose(recording.q, [[np.pi / 2], [np.pi]])
+    np.testing.assert_allclose(recording.tau, [[1.5], [2.0]])
+
+
+def test_commands_without_a_unit_have_that_of_the_positions() -> None:
+    q = np.array([[0.0], [90.0], [180.0]])
+    log = {"t": [0.0, 0.1, 0.2], "q_deg": q, "q_command": q, "q_motor": q, "tau": 0.0 * q + 1.0}
+    sheet = {"columns": {"motor_position": ["q_motor"]}}
+    recording = read_recording(log, sheet=sheet)
+    for values in (recording.q, recording.command, recording.extra["q_motor"]):
+        np.testing.assert_allclose(values, np.deg2rad(q))
+    assert any("command columns name no unit" in note for note in recording.notes)
+
+
+def test_tabs_and_decimal_commas(tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text("t\tq_1\ttau_1\n0,0\t0,5\t1\n0,1\t0,25\t2,5\n")
+    recording = read_recording(tmp_path / "log.txt")
+    np.testing.assert_array_equal(recording.q, [[0.5], [0.25]])
+    np.testing.assert_array_equal(recording.tau, [[1.0], [2.5]])
+
+
 def test_semicolons_and_decimal_commas(tmp_path: Path, logged: dict) -> None:
     spread(logged).write_csv(tmp_path / "log.csv")
     text = (tmp_path / "log.csv").read_text().replace(",", ";").replace(".", ",")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def test_the_truth_rolls_out_to_what_was_logged(name: str) -> None:
     values = robot.drive_values.reshape(model.n_joints, -1)
     true = SimulatedRobot(simulated.model, robot.drive, values, known)
     error = np.sqrt(np.mean((simulate_windows(true, windows) - windows.q) ** 2))
-    early = true.with_servo(PositionServo(kp=known.kp, kd=known.kd, delay=0.0))
+    early = replace(true, servo=PositionServo(kp=known.kp, kd=known.kd, delay=0.0))
     assert error < 4e-4
     assert np.sqrt(np.mean((simulate_windows(early, windows) - windows.q) ** 2)) > 2.0 * error
 

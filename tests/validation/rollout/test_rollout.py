@@ -207,6 +207,14 @@ def test_a_window_under_contact_is_named(windows: Windows) -> None:
     assert usual[0].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11]
 
 
+@pytest.mark.filterwarnings("error")
+def test_windows_that_all_diverge_are_not_outlying(windows: Windows) -> None:
+    lost = np.full_like(windows.q, np.nan)
+    found, usual = find_outlying_windows([windows], [lost], windows_names())
+    assert found == ()
+    assert usual[0].tolist() == list(range(12))
+
+
 def test_errors_of_sliding_joints_are_said_in_their_unit() -> None:
     model = bundled_robot("scara")
     slide = next(joint for joint in model.joints if not joint.is_revolute)

@@ -11,7 +11,7 @@ from asbuilt.description import (
     placement,
     rotation_from_rpy,
 )
-from asbuilt.writers.tables.robot_tables import tabulate_robot_links
+from asbuilt.writers.tables.robot_tables import tabulate_robot_joints, tabulate_robot_links
 
 
 def test_rounding_is_not_shown_as_products_of_inertia() -> None:
@@ -40,3 +40,13 @@ def test_links_without_mass_properties_are_not_called_ok() -> None:
     verdicts = [row[-1] for row in tabulate_robot_links(model).rows]
     assert verdicts == ["ALL ZERO: no mass properties", "ZERO INERTIA: a point mass"]
     assert tabulate_robot_links(load_robot("two-link")).rows[0][-1] == "OK"
+
+
+def test_limits_of_robots_that_slide_are_forces_too() -> None:
+    units = {
+        name: {
+            column.header: column.unit for column in tabulate_robot_joints(load_robot(name)).columns
+        }["torque"]
+        for name in ("two-link", "scara")
+    }
+    assert units == {"two-link": "N m", "scara": "N m, N"}

@@ -97,9 +97,9 @@ def add(
     if (id is None) == (id_from is None):
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
     asked = _make_study_options(drive, unchecked, filtering)
-    from asbuilt.apps.fleet.reduction.add import make_identity_finder as identity_from
+    from asbuilt.apps.fleet.reduction.log_source import make_identity_finder
 
-    identity = id if id is not None else identity_from(str(id_from))
+    identity = id if id is not None else make_identity_finder(str(id_from))
     with show_progress() as report:
         done = asbuilt.add_logs(
             ledger,
@@ -235,6 +235,13 @@ ChangesSince = Annotated[
 ]
 
 
+def _find_drift(ledger: str, since: str | None, options: FleetDriftOptions) -> app.FleetDrift:
+    with show_progress() as report:
+        return asbuilt.fleet_drift(
+            ledger, since=_parse_date(since), options=options, progress=report
+        )
+
+
 def drift(
     ledger: LedgerPlace,
     *,
@@ -247,10 +254,7 @@ def drift(
 
     Natural variation from day to day is estimated from all robots of a type.
     """
-    with show_progress() as report:
-        found = asbuilt.fleet_drift(
-            ledger, since=_parse_date(since), options=options, progress=report
-        )
+    found = _find_drift(ledger, since, options)
     answer(as_json, found.as_document, lambda: app.drift_text(found, describe_cure, full=full))
 
 
@@ -267,10 +271,7 @@ def report(
 
     The page needs no server and no network.
     """
-    with show_progress() as tell:
-        found = asbuilt.fleet_drift(
-            ledger, since=_parse_date(since), options=options, progress=tell
-        )
+    found = _find_drift(ledger, since, options)
     files = {"report": asbuilt.write_fleet_report(out / "fleet.html", found)}
     answer(
         as_json,

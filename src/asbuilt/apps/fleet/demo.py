@@ -22,7 +22,8 @@ from asbuilt import (
     random_fourier,
     write_recording,
 )
-from asbuilt.apps.fleet.reduction.add import Addition, add_logs, make_identity_finder
+from asbuilt.apps.fleet.reduction.add import Addition, add_logs
+from asbuilt.apps.fleet.reduction.log_source import make_identity_finder
 from asbuilt.apps.fleet.report import addition_document, describe_drift_outcome
 from asbuilt.description import bundled_robot
 from asbuilt.tables import Column, Table, wrap_text

@@ -15,7 +15,6 @@ from asbuilt.apps.masses.mass_findings import (
     LinkMass,
     check_described_mass,
     check_surface,
-    has_plausible_size,
     sort_by_plausibility,
 )
 from asbuilt.apps.masses.solids import (
@@ -26,7 +25,6 @@ from asbuilt.apps.masses.solids import (
     look_up_density,
     read_solids,
 )
-from asbuilt.arrays import Array
 from asbuilt.description import (
     Link,
     LinkInertia,
@@ -123,13 +121,10 @@ def link_masses(
     if table is not None:
         if density is not None or material is not None or meshes is not None:
             raise UsageError("a table has masses already; leave meshes, density and material out")
-        if about is None or products is None:
-            raise UsageError(
-                "a table does not state its conventions; give about ('com' or 'origin') and"
-                " products ('tensor' or 'integral')"
-            )
         links, findings = _read_table(model, Path(table), about, products)
     else:
+        if about is not None or products is not None:
+            raise UsageError("about and products are conventions of a table; give one")
         folder = None if meshes is None else Path(meshes)
         if folder is not None and not folder.is_dir():
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
@@ -177,22 +172,20 @@ def _weigh_solids(
                 make_link_finding("no_geometry", "info", link.name, "it has no geometry")
             )
         parts = dict(link.parts) or {link.name: link.inertia}
-        scaled = list[Array]()
-        complete = bool(own)
-        for solid in own:
-            value = _find_density(solid, link.name, densities, parts)
-            complete = (
-                complete and value is not None and not solid.missing and has_plausible_size(solid)
-            )
-            scaled += [] if value is None else [value * solid.inertia.parameters]
-        sized = [solid for solid in own if has_plausible_size(solid)]
+        sized = [solid for solid in own if solid.has_plausible_size]
+        values = [_find_density(solid, link.name, densities, parts) for solid in sized]
+        scaled = [
+            value * solid.inertia.parameters
+            for solid, value in zip(sized, values, strict=True)
+            if value is not None and not solid.missing
+        ]
         known = [solid.corners for solid in sized if len(solid.corners)]
         corners = np.concatenate(known or [np.full((1, 3), np.nan)])
         links.append(
             LinkMass(
                 link.name,
                 link.inertia if link.inertia_known else None,
-                LinkInertia(np.sum(scaled, axis=0)) if complete and scaled else None,
+                LinkInertia(np.sum(scaled, axis=0)) if 0 < len(scaled) == len(own) else None,
                 own[0].kind if own else "",
                 sum(solid.inertia.mass for solid in sized) or float("nan"),
                 corners.min(axis=0),
@@ -218,8 +211,8 @@ def _find_density(
 def _read_table(
     model: RobotModel,
     path: Path,
-    about: Literal["com", "origin"],
-    products: Literal["tensor", "integral"],
+    about: Literal["com", "origin"] | None,
+    products: Literal["tensor", "integral"] | None,
 ) -> tuple[list[LinkMass], list[Finding]]:
     read = read_cad_table(path, about=about, products=products)
     for name in read:
@@ -279,40 +272,37 @@ _HEADER = re.compile(r"^\s*(?P<name>[^\[(]+?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?
 def read_cad_table(
     path: str | Path,
     *,
-    about: Literal["com", "origin"],
-    products: Literal["tensor", "integral"],
-    mass_unit: str = "",
-    length_unit: str = "",
-    placements: Mapping[str, Array] | None = None,
+    about: Literal["com", "origin"] | None,
+    products: Literal["tensor", "integral"] | None,
 ) -> dict[str, CadLink]:
     """Read the mass properties of links from a CSV table, one row per part.
 
     Rows of one link add up.
 
     Columns `link, part, mass, cx, cy, cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz` (part is optional, other
-    usual names are understood). Units stand in the header, as in `mass [g]` and `Ixx [g mm^2]`, or
-    are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must be given
-    because files do not say them: the tensor is `about` the centre of mass or the origin of the
-    axes, and its `products` are the entries of the tensor, `-integral(x y dm)`, or the plain
-    integrals `+integral(x y dm)`. `placements` gives the pose (4, 4) of the axes of the table in
-    the frame of a link where the two differ. Raises `DescriptionError` with line and column.
+    usual names are understood). Units stand in the header, as in `mass [g]` and `Ixx [g mm^2]`;
+    nothing is assumed. Two conventions must be given because files do not say them: the tensor is
+    `about` the centre of mass or the origin of the axes, and its `products` are the entries of the
+    tensor, `-integral(x y dm)`, or the plain integrals `+integral(x y dm)`. Raises
+    `DescriptionError` with line and column, and `UsageError` without conventions.
     """
     path = Path(path)
     if about not in ("com", "origin") or products not in ("tensor", "integral"):
-        raise DescriptionError(
-            f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and"
-            " products='tensor' or 'integral'"
+        raise UsageError(
+            "a table does not state its conventions; give about ('com' or 'origin') and"
+            " products ('tensor' or 'integral')"
         )
     lines, separator = read_rows(path, ";\t,", "part")
     decimal_point = "," if separator == "," else "."  # which a comma in a number stands for
-    columns, factors = _find_columns(path, lines[0][1], mass_unit, length_unit)
+    header = lines[0][1]
+    columns, factors = _find_columns(path, header)
     parts: dict[str, list[tuple[str, LinkInertia]]] = {}
     warnings: dict[str, list[str]] = {}
     for number, cells in lines[1:]:
         place = f"{path}, line {number}"
-        if len(cells) < len(lines[0][1]) or any(cell.strip() for cell in cells[len(lines[0][1]) :]):
+        if len(cells) < len(header) or any(cell.strip() for cell in cells[len(header) :]):
             raise DescriptionError(
-                f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns; where"
+                f"{place}: {len(cells)} cells, but the header has {len(header)} columns; where"
                 " numbers have decimal commas, separate cells by semicolons"
             )
         values = {
@@ -326,8 +316,6 @@ def read_cad_table(
         }
         link = cells[columns["link"]].strip()
         inertia = _make_inertia(values, about, products)
-        if placements is not None and link in placements:
-            inertia = inertia.moved(placements[link])
         part = (
             cells[columns["part"]].strip()
             if "part" in columns
@@ -367,9 +355,7 @@ def _make_inertia(values: Mapping[str, float], about: str, products: str) -> Lin
     )
 
 
-def _find_columns(
-    path: Path, header: list[str], mass_unit: str, length_unit: str
-) -> tuple[dict[str, int], dict[str, float]]:
+def _find_columns(path: Path, header: list[str]) -> tuple[dict[str, int], dict[str, float]]:
     columns: dict[str, int] = {}
     factors: dict[str, float] = {}
     for position, cell in enumerate(header):
@@ -383,17 +369,12 @@ def _find_columns(
         columns[name] = position
         if name in DIMENSION:
             mass, length = DIMENSION[name]
-            given = match["unit"] or " ".join(
-                [mass_unit] * mass
-                + [f"{length_unit}^{length}"] * (length > 0 and bool(length_unit))
-            )
-            if not given.strip():
+            if not (match["unit"] or "").strip():
                 raise DescriptionError(
                     f"{path}: column {cell.strip()!r} states no unit; write it like 'Ixx [g mm^2]'"
-                    " or give mass_unit and length_unit"
                 )
             try:
-                factors[name] = parse_unit_factor(given, mass=mass, length=length)
+                factors[name] = parse_unit_factor(match["unit"], mass=mass, length=length)
             except DescriptionError as error:
                 raise DescriptionError(f"{path}: column {cell.strip()!r}: {error}") from None
     missing = [name for name in COLUMNS if name not in columns and name != "part"]

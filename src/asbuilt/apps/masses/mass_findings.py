@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.apps.masses.solids import PLAUSIBLE_SIZE, LinkSolid
+from asbuilt.apps.masses.solids import LinkSolid
 from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, check_in_shape, make_link_finding
 from asbuilt.findings import SEVERITIES, Cure, Finding
@@ -56,11 +56,6 @@ class LinkMass:
         return f"LinkMass({self.name!r}, described={self.described}, computed={self.computed})"
 
 
-def has_plausible_size(solid: LinkSolid) -> bool:
-    """Whether the size is plausible, so that length unit and scale are right."""
-    return not len(solid.corners) or float(np.ptp(solid.corners, axis=0).max()) <= PLAUSIBLE_SIZE[1]
-
-
 def check_surface(link: str, solid: LinkSolid) -> list[Finding]:
     """Return findings on meshes that are missing, open, unreadable or of doubtful size."""
     findings = [
@@ -73,25 +68,20 @@ def check_surface(link: str, solid: LinkSolid) -> list[Finding]:
         )
         for name in solid.missing
     ]
-    findings += [
-        make_link_finding(
-            "doubtful_mesh", "warning", link, f"{solid.kind} of {solid.name}: {doubt}"
+    if not solid.has_plausible_size:
+        too_large = make_link_finding(
+            "mesh_scale",
+            "error",
+            link,
+            f"the {solid.kind} of {solid.name} is {solid.size:.3g} m long",
+            Cure('write scale="0.001 0.001 0.001" for a mesh in millimetres'),
         )
-        for doubt in solid.doubts
-        if has_plausible_size(solid)
+        return [*findings, too_large]
+    doubts = (f"{solid.kind} of {solid.name}: {doubt}" for doubt in solid.doubts)
+    return [
+        *findings,
+        *(make_link_finding("doubtful_mesh", "warning", link, doubt) for doubt in doubts),
     ]
-    if not has_plausible_size(solid):
-        size = float(np.ptp(solid.corners, axis=0).max())
-        findings.append(
-            make_link_finding(
-                "mesh_scale",
-                "error",
-                link,
-                f"the {solid.kind} of {solid.name} is {size:.3g} m long",
-                Cure('write scale="0.001 0.001 0.001" for a mesh in millimetres'),
-            )
-        )
-    return findings
 
 
 CHANGE = 0.2
@@ -108,7 +98,7 @@ def check_described_mass(link: LinkMass) -> list[Finding]:
             )
         ]
     body = link.described
-    reason = link.described.inconsistency()
+    reason = body.inconsistency()
     findings = []
     if reason is not None:
         findings.append(make_link_finding("inconsistent_inertia", "error", link.name, reason))

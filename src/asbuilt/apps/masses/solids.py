@@ -51,6 +51,16 @@ class LinkSolid:
     closed: bool = True
     missing: tuple[str, ...] = ()
 
+    @property
+    def size(self) -> float:
+        """Longest side of the box around it [m], 0 without a body."""
+        return float(np.ptp(self.corners, axis=0).max()) if len(self.corners) else 0.0
+
+    @property
+    def has_plausible_size(self) -> bool:
+        """Whether no part of a robot is larger, so that length unit and scale are right."""
+        return self.size <= PLAUSIBLE_SIZE[1]
+
 
 def read_solids(
     model: RobotModel, folders: Sequence[Path] = (), *, prefer: GeometryKind = "visual"
@@ -122,9 +132,8 @@ def _read_solid(
         except DescriptionError as error:
             if geometry[0].tag != "mesh":
                 raise  # a number that makes no sense, not a file to look for elsewhere
-            missing.append(geometry[0].get("filename", geometry[0].tag))
             doubts.append(str(error))
-            continue
+            solid = None
         if solid is None:
             missing.append(geometry[0].get("filename", geometry[0].tag))
             continue
@@ -294,18 +303,15 @@ def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
     bodies: list[tuple[str, LinkInertia]] = []
     warnings: list[str] = []
     for part in parts:
-        inertia, doubts = mesh_inertia(part)
+        inertia, doubts = _weigh_part(part)
         bodies.append((part.name or Path(part.path).stem, inertia))
         warnings.extend(f"link {name!r}, {doubt}" for doubt in doubts)
     total = LinkInertia(np.sum([inertia.parameters for _, inertia in bodies], axis=0))
     return CadLink(Link(name=name, inertia=total, parts=tuple(bodies)), tuple(warnings))
 
 
-def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
-    """Return the inertia of one part in the frame of its link, and warnings about its surface.
-
-    Raises `DescriptionError` as `link_from_meshes` does.
-    """
+def _weigh_part(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
+    """Return the inertia of one part in the frame of its link, and warnings about its surface."""
     if part.unit not in LENGTH:
         raise DescriptionError(
             f"{part.path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}"

@@ -16,7 +16,7 @@ COMMANDS: Entries = {
     },
     "Complete runs": {
         "open": Entry(
-            "apps.page.server",
+            "apps.page.command",
             "Open a page in the browser: from files to a trusted model.",
             ("", "my_robot.urdf log.csv --no-browser"),
             "",

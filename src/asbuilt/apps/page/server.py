@@ -11,34 +11,21 @@ import json
 import os
 import re
 import secrets
-import signal
 import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 from urllib.parse import quote, unquote
 
-import typer
-
-from asbuilt.apps.page.choices import Choices
 from asbuilt.apps.page.session import Session
-from asbuilt.cli import (
-    AsJson,
-    Browser,
-    Out,
-    PagePort,
-    answer,
-    complete_robot,
-    describe_cure,
-    serve_page,
-)
+from asbuilt.cli import describe_cure
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.untrusted import describe_problem
 from asbuilt.writing import atomic_write
@@ -479,66 +466,3 @@ def _clean_file_name(name: str) -> str:
     last = name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
     clean = re.sub(r"[^\w.+-]", "_", last).lstrip(".-").encode("utf-8", "replace")
     return clean[-LONGEST_NAME:].decode("utf-8", "ignore").lstrip(".-") or "file"
-
-
-def open(
-    robot: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[ROBOT]",
-            autocompletion=complete_robot,
-            help="a bundled robot or its file; can be chosen on the page",
-        ),
-    ] = None,
-    log: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[LOG...]", help="recordings; can be chosen on the page"),
-    ] = None,
-    *,
-    port: PagePort = 8090,
-    browser: Browser = True,
-    out: Out = Path("study"),
-    as_json: AsJson = False,
-) -> None:
-    """Open a page that leads from files to a trusted model.
-
-    Drop a description and logs on it, correct what their columns were matched to, check, identify,
-    switch effects, export. Every step is a command of this program, which the page shows. It runs
-    on this machine, for whoever has its address; Ctrl-C ends it.
-    """
-    logs = tuple(str(path) for path in log or ())
-    missing = next((path for path in logs if not Path(path).exists()), None)
-    if missing is not None:
-        raise UsageError(f"recording {missing} does not exist", file=missing)
-    session = Session(out or Path("study"), Choices(robot or "", logs))
-    try:
-        server = PageServer(session, port, announce=_announce_next)
-        start = server.write_opener().absolute().as_uri() if browser else ""
-        answer(
-            as_json,
-            lambda: {"url": server.url, "folder": str(session.folder)},
-            lambda: f"{server.url}\nResults are written to {session.folder}; Ctrl-C ends it.",
-        )
-        with server, _end_on_request():
-            serve_page(start, server.serve_forever, browser=browser)
-    finally:
-        session.close()
-
-
-def _announce_next(url: str) -> None:
-    """Show the address for a further browser on stderr, for each one holds once."""
-    print(f"opened; for another browser: {url}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _end_on_request() -> Iterator[None]:
-    """End as Ctrl-C does when the system asks to, so that no file is left half-written."""
-
-    def end(number: int, frame: Any) -> NoReturn:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

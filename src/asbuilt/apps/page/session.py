@@ -274,9 +274,9 @@ class Session:
                 (answer.document for answer in self.answers.values() if answer.key == key), None
             )
 
-    def _mark_files(self, answer: Answer) -> str:
-        """Return the fingerprint of the files that an answer names; of a study, of those shown."""
-        files = answer.document.get("files")
+    def _mark_files(self, document: Mapping[str, Any]) -> str:
+        """Return the fingerprint of the files that a command wrote; of a study, of those shown."""
+        files = document.get("files")
         if not isinstance(files, dict):
             return ""
         shown = [path for kind, path in files.items() if kind in ("result", "report")]
@@ -287,7 +287,7 @@ class Session:
 
         A command that was ended after its last file has replaced them and has no answer.
         """
-        return answer.written == self._mark_files(answer)
+        return answer.written == self._mark_files(answer.document)
 
     def run(self, step: str, given: Mapping[str, Any] | None = None) -> None:
         """Make further choices, and start a step.
@@ -397,8 +397,8 @@ class Session:
             if self._mark_question(job.arguments, job.inputs) != key:
                 # A file changed while it was read: nobody knows which of its contents this is of.
                 key += f"-{time.monotonic_ns()}"
-            stored = Answer(key, job.arguments, document, "")
-            self.answers[job.step] = replace(stored, written=self._mark_files(stored))
+            written = self._mark_files(document)
+            self.answers[job.step] = Answer(key, job.arguments, document, written)
             self.follow()
 
     def _offer_effects(self, arguments: tuple[str, ...], document: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -31,6 +31,7 @@ from asbuilt.cli import (
     AsJson,
     Robot,
     describe_cure,
+    name_option,
     out_folder,
     print_text,
     show_progress,
@@ -40,6 +41,8 @@ from asbuilt.codec import make_plain
 from asbuilt.tables import format_share, wrap_text
 
 FOLDER = Path("asbuilt-run")
+GOES_ON = ("until", "rounds")
+"""Options that may change from start to start: how long the loop goes on."""
 
 
 def run(
@@ -151,17 +154,26 @@ def _read_settings(
         raise UsageError(f"{resume} holds a loop of {kept.robot!r}, not of {robot}")
     if out != FOLDER:
         raise UsageError("--resume goes on in its own folder; leave out --out")
-    # What may change from start to start: how long the loop goes on.
     changed = {
-        name: getattr(options, name)
-        for name in ("until", "rounds")
-        if getattr(options, name) != getattr(RunOptions(), name)
+        field.name: getattr(options, field.name)
+        for field in fields(RunOptions)
+        if getattr(options, field.name) != field.default
     }
+    asked = replace(kept.options, **changed)
+    fixed = [name for name in changed if getattr(asked, name) != getattr(kept.options, name)]
+    if motion is not None and str(motion.resolve()) != kept.motion:
+        fixed.append("motion")
+    for name in fixed:
+        if name not in GOES_ON:
+            raise UsageError(
+                f"{name_option(name)} is another one than this loop was started with; leave it"
+                " out, or start a loop in another folder"
+            )
     return replace(
         kept,
         on=on or kept.on,
         programs=tuple(program or kept.programs),
-        options=replace(kept.options, **changed),
+        options=asked,
     )
 
 

@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 from asbuilt.apps.watch.causal_filter import choose_pole
 from asbuilt.apps.watch.observed import Observed
 from asbuilt.apps.watch.observer import Observer
-from asbuilt.apps.watch.thresholds import HALF
+from asbuilt.apps.watch.thresholds import HALF, Thresholds
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import make_plain
 from asbuilt.description import RobotModel
@@ -118,14 +118,15 @@ def find_events(
     )
 
 
-def join_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
-    """Return events with those closer than `apart` [s] joined, as chunks of a log divide them."""
+def join_events(events: Sequence[Event], thresholds: Thresholds) -> tuple[Event, ...]:
+    """Return events with those closer than a block joined, as chunks of a log divide them."""
     found: list[Event] = []
     for event in events:
-        if found and event.start - found[-1].end <= apart:
+        if found and event.start - found[-1].end <= thresholds.block_seconds:
             before = found.pop()
             larger = max(before, event, key=lambda one: one.excess)
-            names = tuple(dict.fromkeys((*before.joints, *event.joints)))
+            responding = {*before.joints, *event.joints}
+            names = tuple(name for name in thresholds.joint_names if name in responding)
             found.append(replace(larger, start=before.start, end=event.end, joints=names))
         else:
             found.append(event)

@@ -290,8 +290,10 @@ class Observer:
             self._filter = CausalFilter(filter_pole(self.bandwidth, 1e3))
             self._filter.start(both)
             return q, np.zeros(n), tau
-        if self._filter.age == 0.0:  # the first step shows the rate
-            self._filter.pole = filter_pole(self.bandwidth, 1.0 / dt)
+        if self._filter.age == 0.0:
+            # Without thresholds the first step shows the rate; it may be an odd one.
+            rate = 1.0 / dt if self.thresholds is None else self.thresholds.rate
+            self._filter.pole = filter_pole(self.bandwidth, rate)
         x, v = self._filter.update(dt, both)
         return x[:n].copy(), v[:n].copy(), x[n:].copy()
 

@@ -155,10 +155,14 @@ class Thresholds:
         """Return the largest residual that is no alarm [N m or N], shape of `qd`."""
         return self.level * self.scale(qd, slowness, model) + HALF * step + unknown_friction
 
+    def scale_of_log(self, observed: Observed, model: Array) -> Array:
+        """Return the scale S (N, n) along a log, from the model error."""
+        slowness = apply_lag(observed.share, self.slow(delay_velocities(observed), observed.qd))
+        return self.scale(observed.qd, slowness, model)
+
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
-        slowness = apply_lag(observed.share, self.slow(delay_velocities(observed), observed.qd))
-        scale = self.scale(observed.qd, slowness, error.std(observed.q, observed.qd, observed.qdd))
+        scale = self.scale_of_log(observed, error.std(observed.q, observed.qd, observed.qdd))
         return scale, self.level * scale + bound_residual(observed)
 
     def covariance(self, observed: Observed, scale: Array, error: ModelError) -> Array:
@@ -255,9 +259,7 @@ def set_thresholds(
     n = len(joint_names)
     _check_measured(logs, names)
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
-    kept = [np.ones(len(log.t), dtype=bool) for log in logs]
     seconds = max(LEVEL_BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
-    hours = sum(log.seconds for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
     if probability > LEVEL_MOST:
         highest = float(-np.log1p(-LEVEL_MOST) * n * 3600.0 / seconds)
@@ -267,7 +269,9 @@ def set_thresholds(
             value=false_alarms_per_hour,
             expected=highest,
         )
-    for last in (held_out, True):
+
+    def fit(kept: Sequence[Mask]) -> tuple[Thresholds, list[Array], list[Array]]:
+        """Return thresholds of level 1, their scales and what residuals have of them."""
         floor, slow_part, fast, model_part, slow_speed = _fit_scale(
             logs, models, kept, seconds, probability
         )
@@ -276,7 +280,7 @@ def set_thresholds(
             bandwidth=bandwidth,
             false_alarms_per_hour=false_alarms_per_hour,
             block_seconds=seconds,
-            hours=hours,
+            hours=sum(log.seconds for log in logs) / 3600.0,
             rate=float(np.median(np.concatenate([sampling_rates(log.t) for log in logs]))),
             level=np.ones(n),
             floor=floor,
@@ -290,14 +294,15 @@ def set_thresholds(
             held_out=held_out,
             filtered=filtered,
         )
-        scales = [made.of_log(log, error)[0] for log in logs]
-        ratios = [
-            np.maximum(np.abs(log.residual) - bound_residual(log), 0.0) / scale
-            for log, scale in zip(logs, scales, strict=True)
-        ]
-        if last:
-            break
+        scales = list(map(made.scale_of_log, logs, models))
+        excesses = (np.maximum(np.abs(log.residual) - bound_residual(log), 0.0) for log in logs)
+        return made, scales, list(map(np.divide, excesses, scales))
+
+    kept = [np.ones(len(log.t), dtype=bool) for log in logs]
+    made, scales, ratios = fit(kept)
+    if not held_out:
         kept = [_find_quiet(log, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
+        made, scales, ratios = fit(kept)
     made = replace(made, spread=_measure_spread(logs, scales, kept))
     maxima = np.concatenate(
         [block_maxima(log.t, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
@@ -386,40 +391,37 @@ def _fit_scale(
     probability: float,
 ) -> Array:
     """Return floor, slow part, fast part, model part and slow speed of the joints, (5, n)."""
-    residual, speed, model, step, unknown = (
-        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
-        for arrays in (
-            [log.residual for log in logs],
-            [log.qd for log in logs],
-            models,
-            [log.step for log in logs],
-            [log.unknown_friction for log in logs],
-        )
+    seen = np.stack(
+        [
+            np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
+            for arrays in (
+                [log.residual for log in logs],
+                [log.qd for log in logs],
+                models,
+                [log.step for log in logs],
+                [log.unknown_friction for log in logs],
+            )
+        ]
     )
     starts = _find_block_starts(logs, kept, seconds)
     least = [least_speed(delay_velocities(log), log.qd) for log in logs]
 
     def fit_joint(j: int) -> tuple[float, ...]:
         def find_slowness(slow_speed: float) -> Array:
-            near = [np.exp(-((speeds[:, j : j + 1] / slow_speed) ** 2)) for speeds in least]
-            lagged = (
-                apply_lag(log.share, x)[keep, 0]
-                for log, x, keep in zip(logs, near, kept, strict=True)
+            return np.concatenate(
+                [
+                    apply_lag(log.share, np.exp(-((speeds[:, [j]] / slow_speed) ** 2)))[keep, 0]
+                    for log, speeds, keep in zip(logs, least, kept, strict=True)
+                ]
             )
-            return np.concatenate([*lagged])
 
-        columns = (x[:, j].copy() for x in (residual, speed, model, step, unknown))
-        return _fit_parts(*columns, find_slowness, starts, probability)
+        return _fit_parts(seen[:, :, j].copy(), find_slowness, starts, probability)
 
-    return np.transpose([fit_joint(j) for j in range(residual.shape[1])])
+    return np.transpose([fit_joint(j) for j in range(seen.shape[2])])
 
 
 def _fit_parts(
-    residual: Array,
-    speed: Array,
-    model: Array,
-    step: Array,
-    unknown: Array,
+    seen: Array,
     find_slowness: Callable[[float], Array],
     starts: NDArray[Any],
     probability: float,
@@ -431,8 +433,10 @@ def _fit_parts(
     unknown friction are fitted as well. Of these the one counts that makes thresholds lowest:
     the geometric mean of `level S` with the level that block maxima exceed at the probability, if
     their tail is exponential. The most likely scale alone is not it: where it is too small, a few
-    samples would raise the level everywhere.
+    samples would raise the level everywhere. `seen` (5, N) are residual, speed, standard deviation
+    of the model, steps of torque and unknown friction.
     """
+    residual, speed, model, step, unknown = seen
     size = float(np.sqrt(np.mean(residual**2)))
     top = float(np.abs(speed).max()) or 1.0
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size

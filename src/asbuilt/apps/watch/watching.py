@@ -233,6 +233,7 @@ def watch(
     options = options or WatchOptions()
     report = progress or (lambda what, fraction: None)
     result = result.result
+    _check_options(thresholds, options)
     _refuse_free_base(result)
     choose_payload_frame(result.model, options.frame)
     log = require_logged(as_recordings(result.model, [recording])[0])
@@ -273,6 +274,7 @@ def make_stream_observer(
         If there are neither: a stream cannot set its own, since what comes is not known.
     """
     options = options or WatchOptions()
+    _check_options(thresholds, options)
     _refuse_free_base(result)
     if thresholds is None:
         quiet = list(map(require_logged, as_recordings(result.model, calibrate or [])))
@@ -286,6 +288,23 @@ def make_stream_observer(
         measured = all(map(uses_logged_velocities, quiet))
         thresholds, _ = _choose_thresholds(result, quiet[0], quiet, options, measured=measured)
     return Observer(_choose_robot(result, options), thresholds=thresholds)
+
+
+def _check_options(thresholds: Thresholds | None, options: WatchOptions) -> None:
+    """Raise `UsageError` if other thresholds are asked for than those given."""
+    if thresholds is None:
+        return
+    usual = WatchOptions()
+    for name, what in (("bandwidth", "bandwidth [Hz]"), ("false_alarms_per_hour", "rate [1/h]")):
+        asked = getattr(options, name)
+        known = getattr(thresholds, name)
+        if asked not in (known, getattr(usual, name)):
+            raise UsageError(
+                f"the thresholds were set for the {what} {known:g}, not {asked:g}",
+                cure=Cure("leave it out, or set the thresholds again", {"calibrate": "LOG"}),
+                value=asked,
+                expected=known,
+            )
 
 
 def _choose_robot(
@@ -407,7 +426,7 @@ def _watch_log(
         tally.add(observer, observed, scale, limit)
     if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
-    found = join_events(events, thresholds.block_seconds)
+    found = join_events(events, thresholds)
     units = torque_units(observer.model)
     of_log = [
         *report_log(thresholds, tally),

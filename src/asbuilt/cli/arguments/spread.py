@@ -18,7 +18,6 @@ from asbuilt.ranges import Range, check_choice, make_range_error, option, switch
 
 SPELLING = {
     "size": "--harmonics",
-    "unexcited": "--undetermined",
     "checked": "--unchecked",
     "purpose": "--for",
 }
@@ -27,7 +26,6 @@ SPELLING = {
 PANELS = {
     "DesignOptions": "Design",
     "Filtering": "Signal chain",
-    "Reading": "Reading recordings",
     "ReadingOptions": "Reading recordings",
     "RunOptions": "Rounds",
     "StudyOptions": "Identification",

@@ -20,7 +20,6 @@ from asbuilt.description.model import (
     ROOT,
     USUAL_GRAVITY,
     DriveValues,
-    Frame,
     Joint,
     JointKind,
     JointLimits,
@@ -60,7 +59,6 @@ class DHRow:
     kind: JointKind = "revolute"
     inertia: LinkInertia | None = None
     joint: str = ""
-    link: str = ""
     parent: int | None = None
     origin: Array | None = None
     limits: JointLimits = field(default_factory=JointLimits)
@@ -73,10 +71,7 @@ def robot_from_dh(
     convention: Convention = "standard",
     name: str = "robot",
     gravity: ArrayLike = USUAL_GRAVITY,
-    root_link: str = "root",
-    frames: Sequence[Frame] = (),
     source: str = "",
-    citation: str = "",
     notes: Sequence[str] = (),
 ) -> RobotModel:
     """Build a robot from Denavit-Hartenberg rows.
@@ -111,18 +106,15 @@ def robot_from_dh(
         joints=tuple(joints),
         links=tuple(
             Link(
-                name=row.link or f"link_{i + 1}",
+                name=f"link_{i + 1}",
                 inertia=row.inertia or LinkInertia.zero(),
                 inertia_known=row.inertia is not None,
             )
             for i, row in enumerate(rows)
         ),
         gravity=np.asarray(gravity, dtype=np.float64),
-        root_link=root_link,
-        frames=tuple(frames),
         lengths=lengths,
         source=source,
-        citation=citation,
         notes=tuple(remarks),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,8 +22,10 @@ from asbuilt.description.formats.compiled_mjcf import (
     insert_includes,
     with_passive_joints,
 )
+from asbuilt.description.formats.connected_links import Bodies, Connection, build_robot
 from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
+    TEXT,
     described_text,
     find_outermost_tag,
     parse_numbers,
@@ -37,7 +39,6 @@ from asbuilt.description.model import (
     Joint,
     JointKind,
     JointLimits,
-    Link,
     RobotModel,
 )
 from asbuilt.description.rotation import (
@@ -45,11 +46,9 @@ from asbuilt.description.rotation import (
     condense_notes,
     placement,
     rotation_from_quaternion,
-    rotation_from_rpy,
     rotation_onto,
     rotation_z,
-    rpy_from_rotation,
-    straighten_angle,
+    straighten_placement,
 )
 from asbuilt.description.structure.free_base import clear_base_inertias, free_mjcf
 from asbuilt.description.structure.parts import BaseKind
@@ -110,51 +109,55 @@ def read_mjcf(
     unknown = _remove_shapes(root, source)
     held = _remove_free_joints(root) if fixed_base else []
     compiled, warnings = _compile_model(mujoco, root, source)
-    tree = _Tree(compiled, Actuators(mujoco, compiled), source, unknown)
-    tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
-    tree.notes.extend(f"the free joint of {body!r} is held at its pose" for body in held)
-    for body in range(1, compiled.nbody):
-        tree.add(body)
-    if not tree.joints:
+    if not compiled.njnt:
         raise DescriptionError(
             f"{source}: no body has a hinge or slide joint, so there is nothing to identify"
         )
-    tree.add_sites()
-    tree.notes.extend(tree.actuators.notes())
+    reading = _Reading(compiled, Actuators(mujoco, compiled), source, unknown)
+    notes = reading.notes
+    notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
+    notes.extend(f"the free joint of {body!r} is held at its pose" for body in held)
+    for body in range(1, compiled.nbody):
+        reading.add(body)
+    tree = build_robot(
+        root.get("model") or "robot", reading.bodies, reading.connections, source, []
+    )
+    frames = (*tree.frames, *reading.list_sites(tree))
+    notes.extend(reading.actuators.notes())
     sprung = [
         joint.name
         for index, joint in enumerate(tree.joints)
         if np.any(compiled.jnt_stiffness[index])
     ]
     if sprung:
-        tree.notes.append(
+        notes.append(
             f"the springs of {', '.join(sprung)} (stiffness) are left out; identify them with the"
             " drive terms auto,spring:joints=..."
         )
-    loops, closing = find_loops_by_equalities(mujoco, compiled, tree.places, tree.joints)
+    places = {
+        body: ("world" if link == ROOT else tree.links[link].name, pose)
+        for body in range(compiled.nbody)
+        for link, pose in [tree.places[reading.name(body)]]
+    }
+    loops, closing = find_loops_by_equalities(mujoco, compiled, places, tree.joints)
     joints, left_out = couple_by_equalities(mujoco, compiled, tree.joints, closing)
-    joints = with_passive_joints(mujoco, compiled, joints, tree.names, loops)
+    joints = with_passive_joints(mujoco, compiled, joints, tree.link_names, loops)
     rest = compiled.qpos0[compiled.jnt_qposadr] if loops else ()
-    links = [
-        Link.of_parts(name, parts, known=name not in unknown)
-        for name, parts in zip(tree.names, tree.parts, strict=True)
-    ]
     if left_out:
-        tree.notes.append(
+        notes.append(
             f"{left_out} equality constraints are left out; every joint counts as driven on its own"
         )
-    return RobotModel(
-        drives_by_design=False,
-        name=root.get("model") or "robot",
+    links = [replace(link, inertia_known=link.name not in unknown) for link in tree.links]
+    return replace(
+        tree,
         joints=tuple(joints),
         loops=tuple(loops),
         posture={joint.name: float(q) for joint, q in zip(tree.joints, rest, strict=False)},
         links=clear_base_inertias(source, joints, links, base),
         gravity=np.array(compiled.opt.gravity),
-        root_link="world",
-        frames=tuple(tree.frames),
-        source="MJCF text" if source == "the description" else source,
-        notes=condense_notes(tree.notes),
+        frames=frames,
+        source="MJCF text" if source == TEXT else source,
+        notes=condense_notes(notes),
     ).closed()
 
 
@@ -330,55 +333,44 @@ def _list_default_geoms(
 
 
 @dataclass
-class _Tree:
-    """Bodies already merged.
-
-    `carrier[b]` and `pose[b]` place body b in a moving link (ROOT: the world).
-    """
+class _Reading:
+    """What grows while the bodies of a compiled model are read one after the other."""
 
     model: Any
     actuators: Actuators
     source: str
     unknown: Mapping[str, float]
-    joints: list[Joint] = field(default_factory=list)
-    names: list[str] = field(default_factory=list)
-    parts: list[list[tuple[str, LinkInertia]]] = field(default_factory=list)
-    frames: list[Frame] = field(default_factory=list)
+    bodies: Bodies = field(default_factory=lambda: {"world": None})
+    connections: list[Connection] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    carrier: dict[int, int] = field(default_factory=lambda: {0: ROOT})
-    pose: dict[int, Array] = field(default_factory=lambda: {0: np.eye(4)})
 
-    @property
-    def places(self) -> dict[int, tuple[str, Array]]:
-        """The link of each body, and the pose of the body in it."""
-        return {
-            body: ("world" if link == ROOT else self.names[link], self.pose[body])
-            for body, link in self.carrier.items()
-        }
+    def name(self, body: int) -> str:
+        return self.model.body(body).name or f"body_{body}"
 
     def add(self, body: int) -> None:
+        """Add a body and what connects it; of several joints all but the last have a link alone."""
         m = self.model
-        name = m.body(body).name or f"body_{body}"
-        parent = int(m.body_parentid[body])
-        carrier = self.carrier[parent]
-        pose = compose_placements(
-            self.pose[parent], self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}")
-        )
+        name = self.name(body)
+        parent = self.name(int(m.body_parentid[body]))
+        origin = self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}")
         first = int(m.body_jntadr[body])
         count = int(m.body_jntnum[body])
         for k in range(count):
-            joint = self.joint(first + k, name, carrier, pose)
-            self.joints.append(joint)
-            self.names.append(name if k == count - 1 else f"{name}_after_{joint.name}")
-            self.parts.append([])
-            carrier = len(self.joints) - 1
-            pose = np.eye(4)
-        self.carrier[body] = carrier
-        self.pose[body] = pose
+            joint = self.joint(first + k, name)
+            child = name if k == count - 1 else f"{name}_after_{joint.name}"
+            self.connections.append(Connection(joint.name, parent, child, origin, joint))
+            self.bodies[child] = None
+            parent = child
+            origin = np.eye(4)
         if count == 0:
-            self.frames.append(Frame(name=name, link=carrier, placement=pose))
-        if carrier == ROOT:
-            return
+            self.connections.append(Connection(name, parent, name, origin, None))
+        self.bodies[name] = self.inertia(body, name)
+
+    def inertia(self, body: int, name: str) -> LinkInertia | None:
+        """Return the mass properties of a body in its frame, None where it has none or stands."""
+        m = self.model
+        if m.body_weldid[body] == 0:
+            return None
         if name in self.unknown:
             mass = self.unknown[name]
             stated = f" ({mass:.4g} kg by its geoms)" if mass > 0.0 else ""
@@ -386,13 +378,15 @@ class _Tree:
                 f"body {name!r} has no <inertial>, and its inertia{stated} would come from a mesh"
                 " that is not read; it counts as not given"
             )
-        elif m.body_mass[body] > 0.0:
-            frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
-            mass = parse_finite_number(f"{m.body_mass[body]:.17g}", f"body {name!r}: mass")
-            inertia = LinkInertia.from_com(mass, np.zeros(3), np.diag(m.body_inertia[body]))
-            self.parts[carrier].append((name, inertia.moved(frame).moved(pose)))
+            return None
+        if not m.body_mass[body] > 0.0:
+            return None
+        frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
+        mass = parse_finite_number(f"{m.body_mass[body]:.17g}", f"body {name!r}: mass")
+        body_inertia = LinkInertia.from_com(mass, np.zeros(3), np.diag(m.body_inertia[body]))
+        return body_inertia.moved(frame)
 
-    def joint(self, index: int, body: str, parent: int, pose: Array) -> Joint:
+    def joint(self, index: int, body: str) -> Joint:
         m = self.model
         name = m.joint(index).name or f"joint_{index}"
         kind = int(m.jnt_type[index])
@@ -422,8 +416,8 @@ class _Tree:
         return Joint(
             name=name,
             kind=self.kind(index),
-            parent=parent,
-            before=compose_placements(pose, placement(onto, anchor), back),
+            parent=ROOT,
+            before=compose_placements(placement(onto, anchor), back),
             after=compose_placements(placement(onto.T), placement(translation=-anchor)),
             limits=self.limits(index),
             drive=self.drive(int(m.jnt_dofadr[index]), index),
@@ -467,30 +461,19 @@ class _Tree:
         )
 
     def placed(self, position: Array, quaternion: Array, what: str) -> Array:
-        R = rotation_from_quaternion(quaternion)
-        before = len(self.notes)
-        angles = [
-            straighten_angle(float(angle), f"{name} of {what}", self.notes)
-            for name, angle in zip(("roll", "pitch", "yaw"), rpy_from_rotation(R), strict=True)
-        ]
-        return placement(R if len(self.notes) == before else rotation_from_rpy(angles), position)
+        pose = placement(rotation_from_quaternion(quaternion), position)
+        return straighten_placement(pose, what, self.notes)
 
-    def add_sites(self) -> None:
-        taken = {*self.names, *(frame.name for frame in self.frames)}
-        for site in range(self.model.nsite):
-            name = self.model.site(site).name
+    def list_sites(self, tree: RobotModel) -> Iterator[Frame]:
+        """Yield the sites that have a name of their own as frames."""
+        m = self.model
+        taken = {*tree.link_names, *(frame.name for frame in tree.frames)}
+        for site in range(m.nsite):
+            name = m.site(site).name
             if name and name not in taken:
-                body = int(self.model.site_bodyid[site])
-                own = self.placed(
-                    self.model.site_pos[site], self.model.site_quat[site], f"site {name!r}"
-                )
-                self.frames.append(
-                    Frame(
-                        name=name,
-                        link=self.carrier[body],
-                        placement=compose_placements(self.pose[body], own),
-                    )
-                )
+                link, pose = tree.places[self.name(int(m.site_bodyid[site]))]
+                own = self.placed(m.site_pos[site], m.site_quat[site], f"site {name!r}")
+                yield Frame(name, link, compose_placements(pose, own))
 
 
 DESCRIPTION_FORMATS.register(

@@ -1,26 +1,32 @@
-"""Robots from SDF (Simulation Description Format), by way of the same robot as URDF.
+"""Robots from SDF (Simulation Description Format).
 
-SDF states poses in the frame of the model or in any named frame, URDF from joint to joint. The
-robot is rewritten as URDF, with a massless body at a joint whose frame is not its link's, and read
-by that reader; the link then takes its name and its frame back
-(format: http://sdformat.org/spec).
+SDF states poses in the frame of the model or in any named frame, not from joint to joint as URDF
+does, and the frame of a joint need not be that of its link (format: http://sdformat.org/spec).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.codec import format_numbers
 from asbuilt.description.finite import parse_finite_number
+from asbuilt.description.formats.connected_links import (
+    MOVING,
+    Bodies,
+    Connection,
+    bound_joint,
+    build_robot,
+    describe_drive,
+    make_joint,
+    scale_axis,
+)
 from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
-from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import (
     close_match,
     described_text,
@@ -28,17 +34,17 @@ from asbuilt.description.formats.xml import (
     parse_numbers,
     parse_xml,
 )
-from asbuilt.description.model import Joint, Link, Loop, RobotModel
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import Loop, Mimic, RobotModel
 from asbuilt.description.rotation import (
     compose_placements,
     invert_placement,
     placement,
     rotation_from_rpy,
-    rpy_from_rotation,
+    straighten_placement,
 )
 from asbuilt.errors import DescriptionError
 
-KINDS = ("revolute", "continuous", "prismatic", "fixed")
 MODEL = "__model__"
 """Name that SDF gives to the frame of a model."""
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -74,6 +80,10 @@ class _Frames:
                 " other in a circle"
             )
         return name
+
+    def relative(self, origin: str, name: str) -> Array:
+        """Return the pose (4, 4) of a frame in another."""
+        return compose_placements(invert_placement(self.pose(origin)), self.pose(name))
 
     def pose(self, name: str) -> Array:
         """Return the pose (4, 4) of a frame in the frame of the model."""
@@ -117,13 +127,22 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
     model = _find_only_model(root, source)
     frames = _read_frames(model, source)
     closing = _find_closing_joints(model, frames, source)
-    urdf = _build_urdf(model, frames, source, closing)
-    children = {
-        str(_find_end(joint, "parent")): str(_find_end(joint, "child"))
-        for joint in urdf.findall("joint")
-        if str(_find_end(joint, "parent")).endswith(JOINT_BODY)
-    }
-    robot = _restore_links(read_urdf(tostring(urdf)), children)
+    notes: list[str] = []
+    bodies: Bodies = {MODEL: None}
+    for link in model.findall("link"):
+        bodies[str(link.get("name"))] = _read_body(link, frames, source, notes)
+    connections = [
+        _read_joint(joint, frames, source, notes)
+        for joint in model.findall("joint")
+        if joint not in closing
+    ]
+    children = {MODEL, *(connection.child for connection in connections)}
+    connections[:0] = [
+        Connection(name, MODEL, name, straighten_placement(pose, f"link {name!r}", notes), None)
+        for name, pose in ((name, frames.pose(name)) for name in bodies if name not in children)
+    ]
+    name = str(model.get("name") or "robot").strip()
+    robot = build_robot(name, bodies, connections, source, notes)
     gravity = root.find("world/gravity")
     turned = np.eye(3) if model.find("pose") is None else _read_pose(model, source)[:3, :3]
     free_fall = (
@@ -132,65 +151,8 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         else np.array(parse_numbers(gravity.text or "", 3, f"{source}: <gravity>"))
     )
     loops = _read_loops(closing, frames, source)
-    notes = (*robot.notes, *_note_unread(model))
-    found = replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops, notes=notes)
-    return found.closed()
-
-
-JOINT_BODY = " (joint)"
-"""End of the name of the massless body at a joint whose frame is not its link's."""
-
-
-def _restore_links(robot: RobotModel, children: Mapping[str, str]) -> RobotModel:
-    """Return the robot whose links have the names and frames of the SDF, not those of joints.
-
-    `children` names the link that each massless body at a joint carries.
-    """
-    numbers = {link.name: index for index, link in enumerate(robot.links)}
-    poses = {frame.name: frame.placement for frame in robot.frames}
-    moved = {
-        numbers[body]: (child, poses[child])
-        for body, child in children.items()
-        if body in numbers and child in poses
-    }
-
-    def restore_joint(index: int, joint: Joint) -> Joint:
-        before = joint.before
-        if joint.parent in moved:
-            before = compose_placements(invert_placement(moved[joint.parent][1]), before)
-        after = joint.after
-        if index in moved:
-            after = compose_placements(after, moved[index][1])
-        return replace(joint, before=before, after=after)
-
-    def restore_link(index: int, link: Link) -> Link:
-        if index not in moved:
-            return link
-        name, pose = moved[index]
-        into = invert_placement(pose)
-        bodies = link.parts or ((name, link.inertia),)
-        parts = [(body, inertia.moved(into)) for body, inertia in bodies]
-        return Link.of_parts(name, parts, known=link.inertia_known)
-
-    names = {child for child, _ in moved.values()}
-    frames = [
-        replace(
-            frame,
-            placement=compose_placements(invert_placement(moved[frame.link][1]), frame.placement)
-            if frame.link in moved
-            else frame.placement,
-        )
-        for frame in robot.frames
-        if frame.name not in names
-    ]
-    joints = [restore_joint(k, joint) for k, joint in enumerate(robot.moving_joints)]
-    return replace(
-        robot,
-        joints=tuple(joints[: robot.n_joints]),
-        followers=tuple(joints[robot.n_joints :]),
-        links=tuple(restore_link(k, link) for k, link in enumerate(robot.links)),
-        frames=tuple(frames),
-    )
+    said = (*robot.notes, *_note_unread(model))
+    return replace(robot, gravity=turned.T @ free_fall, loops=loops, notes=said).closed()
 
 
 UNREAD = {
@@ -202,12 +164,6 @@ UNREAD = {
     "static": "that the model is static",
 }
 """Elements of SDF with a meaning for dynamics that are not read."""
-
-
-def _find_end(joint: Element, end: str) -> str | None:
-    """Return the name of the parent or the child of a joint of URDF."""
-    element = joint.find(end)
-    return None if element is None else element.get("link")
 
 
 def _note_unread(model: Element) -> tuple[str, ...]:
@@ -288,23 +244,6 @@ def _find_only_model(root: Element, source: str) -> Element:
     return model
 
 
-def _build_urdf(
-    model: Element, frames: _Frames, source: str, closing: Sequence[Element]
-) -> Element:
-    robot = Element("robot", name=str(model.get("name") or "robot"))
-    children = {frames.link(_read_text(joint, "child", source)) for joint in model.findall("joint")}
-    SubElement(robot, "link", name=MODEL)
-    for link in model.findall("link"):
-        _add_link(robot, link, frames, source)
-        if link.get("name") not in children:
-            _connect(robot, f"{MODEL} {link.get('name')}", MODEL, link.get("name"), "fixed", frames)
-    for joint in model.findall("joint"):
-        if joint in closing:
-            continue
-        _add_joint(robot, joint, frames, source)
-    return robot
-
-
 def _read_frames(model: Element, source: str) -> _Frames:
     frames = _Frames(source, {"world": (MODEL, np.eye(4))}, carriers={"world": MODEL})
     first = model.find("link")
@@ -326,73 +265,74 @@ def _read_frames(model: Element, source: str) -> _Frames:
     return frames
 
 
-def _add_link(robot: Element, link: Element, frames: _Frames, source: str) -> None:
+def _read_body(link: Element, frames: _Frames, source: str, notes: list[str]) -> LinkInertia | None:
+    """Return the mass properties of a link, None where it states none."""
     name = str(link.get("name"))
-    written = SubElement(robot, "link", name=name)
     inertial = link.find("inertial")
     if inertial is None:
-        return
-    place = f"{source}, link {name!r}"
-    body = SubElement(written, "inertial")
+        return None
+    place = f"{source}, link {name!r}, inertial"
     pose = _read_pose(inertial, place)
     at = inertial.find("pose")
     relative = None if at is None else at.get("relative_to")
     if relative:
-        into = compose_placements(invert_placement(frames.pose(name)), frames.pose(relative))
-        pose = compose_placements(into, pose)
-    _add_origin(body, pose)
-    SubElement(body, "mass", value=_read_text(inertial, "mass", place, "1.0"))
-    inertia = inertial.find("inertia")
-    usual = {each: "1.0" if each[1] == each[2] else "0.0" for each in INERTIA}
-    given = (
-        usual if inertia is None else {k: _read_text(inertia, k, place, usual[k]) for k in INERTIA}
+        pose = compose_placements(frames.relative(name, relative), pose)
+    tensor = inertial.find("inertia")
+    xx, xy, xz, yy, yz, zz = (
+        _read_number(tensor, key, place, float(key[1] == key[2])) for key in INERTIA
     )
-    SubElement(body, "inertia", given)
+    body = LinkInertia.from_com(
+        _read_number(inertial, "mass", place, 1.0),
+        np.zeros(3),
+        [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
+    )
+    return body.moved(straighten_placement(pose, place, notes))
 
 
-def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> None:
+def _read_joint(joint: Element, frames: _Frames, source: str, notes: list[str]) -> Connection:
     name = str(joint.get("name"))
     kind = str(joint.get("type"))
     place = f"{source}, joint {name!r}"
-    if kind not in KINDS:
-        raise DescriptionError(f"{place}: type {kind!r} is not one of {', '.join(KINDS)}")
+    if kind not in (*MOVING, "fixed"):
+        raise DescriptionError(
+            f"{place}: type {kind!r} is not one of {', '.join((*MOVING, 'fixed'))}"
+        )
     parent, child = (frames.link(_read_text(joint, end, place)) for end in ("parent", "child"))
-    if np.array_equal(frames.pose(name), frames.pose(child)):
-        written = _connect(robot, name, parent, child, kind, frames)
-    else:
-        body = f"{name}{JOINT_BODY}"
-        SubElement(robot, "link", name=body)
-        written = _connect(robot, name, parent, body, kind, frames, at=name)
-        _connect(robot, f"{name} (link)", body, child, "fixed", frames, start=name)
-    axis = joint.find("axis")
     if kind == "fixed":
-        return
+        origin = straighten_placement(frames.relative(parent, child), place, notes)
+        return Connection(name, parent, child, origin, None)
+    axis = joint.find("axis")
     if axis is None:
         raise DescriptionError(f"{place}: a {kind} joint needs <axis>")
-    _add_axis(written, axis, kind, frames, name, place)
+    bounds = _read_bounds(axis.find("limit"), place)
+    if kind == "revolute" and bounds.keys().isdisjoint(("lower", "upper")):
+        kind = "continuous"
+    dynamics = axis.find("dynamics")
+    given = ("damping", "friction") if dynamics is not None else ()
+    moving = make_joint(
+        name,
+        MOVING[kind],
+        scale_axis(_read_direction(axis, frames, name, place).tolist(), place, notes),
+        after=straighten_placement(frames.relative(name, child), f"the link of {place}", notes),
+        limits=bound_joint(MOVING[kind], bounds, place, notes),
+        drive=describe_drive(
+            {key: _read_number(dynamics, key, place, 0.0) for key in given}, place
+        ),
+        mimic=_read_mimic(axis.find("mimic"), name, place),
+    )
+    origin = straighten_placement(frames.relative(parent, name), place, notes)
+    return Connection(name, parent, child, origin, moving)
 
 
-def _add_axis(
-    written: Element, axis: Element, kind: str, frames: _Frames, name: str, place: str
-) -> None:
-    SubElement(written, "axis", xyz=format_numbers(_read_direction(axis, frames, name, place)))
-    limit = axis.find("limit")
+def _read_bounds(limit: Element | None, place: str) -> dict[str, float]:
+    """Return the limits that a joint has."""
     bounds = {}
     for key in ("lower", "upper", "effort", "velocity"):
         value = None if limit is None else limit.find(key)
-        if value is not None:
-            number = _parse_limit(value.text, f"{place}: <{key}>")
-            if number is not None and not (key in ("effort", "velocity") and number < 0.0):
-                bounds[key] = repr(number)
-    if kind == "revolute" and bounds.keys().isdisjoint(("lower", "upper")):
-        written.set("type", "continuous")
-    if bounds:
-        SubElement(written, "limit", bounds)
-    _add_mimic(written, axis, place)
-    dynamics = axis.find("dynamics")
-    if dynamics is not None:
-        given = {key: _read_text(dynamics, key, place, "0") for key in ("damping", "friction")}
-        SubElement(written, "dynamics", given)
+        number = None if value is None else _parse_limit(value.text, f"{place}: <{key}>")
+        if number is not None and not (key in ("effort", "velocity") and number < 0.0):
+            bounds[key] = number
+    return bounds
 
 
 def _read_direction(axis: Element, frames: _Frames, name: str, place: str) -> Array:
@@ -408,25 +348,18 @@ def _read_direction(axis: Element, frames: _Frames, name: str, place: str) -> Ar
     return direction
 
 
-def _add_mimic(written: Element, axis: Element, place: str) -> None:
-    """Add a joint that follows, by SDF 1.11 at `multiplier (leader - reference) + offset`."""
-    mimic = axis.find("mimic")
+def _read_mimic(mimic: Element | None, joint: str, place: str) -> Mimic | None:
+    """Return what a joint follows, by SDF 1.11 at `multiplier (leader - reference) + offset`."""
     if mimic is None:
-        return
+        return None
     leader = mimic.get("joint")
     if not leader:
         raise DescriptionError(f"{place}: <mimic> names no joint; give joint = the one it follows")
     multiplier, offset, reference = (
-        parse_finite_number(_read_text(mimic, key, place, usual), f"{place}: <{key}> of <mimic>")
-        for key, usual in (("multiplier", "1"), ("offset", "0"), ("reference", "0"))
+        _read_number(mimic, key, f"{place}, mimic", usual)
+        for key, usual in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
     )
-    SubElement(
-        written,
-        "mimic",
-        joint=leader,
-        multiplier=repr(multiplier),
-        offset=repr(offset - multiplier * reference),
-    )
+    return Mimic.of(joint, leader, multiplier, offset - multiplier * reference)
 
 
 def _parse_limit(text: str | None, what: str) -> float | None:
@@ -435,32 +368,6 @@ def _parse_limit(text: str | None, what: str) -> float | None:
         if abs(float(text or "")) >= UNLIMITED:
             return None
     return parse_finite_number((text or "").strip(), what)
-
-
-def _connect(
-    robot: Element,
-    name: str,
-    parent: str,
-    child: str | None,
-    kind: str,
-    frames: _Frames,
-    *,
-    at: str = "",
-    start: str = "",
-) -> Element:
-    """Add a joint from the frame `start` (of the parent) to the frame `at` (of the child)."""
-    joint = SubElement(robot, "joint", name=name, type=kind)
-    begin = frames.pose(start or parent)
-    end = frames.pose(at or str(child))
-    _add_origin(joint, compose_placements(invert_placement(begin), end))
-    SubElement(joint, "parent", link=parent)
-    SubElement(joint, "child", link=str(child))
-    return joint
-
-
-def _add_origin(element: Element, pose: Array) -> None:
-    rpy = rpy_from_rotation(pose[:3, :3])
-    SubElement(element, "origin", xyz=format_numbers(pose[:3, 3]), rpy=format_numbers(rpy))
 
 
 def _read_pose(element: Element, place: str) -> Array:
@@ -484,6 +391,12 @@ def _read_text(element: Element, tag: str, place: str, default: str | None = Non
             )
         return default
     return text
+
+
+def _read_number(element: Element | None, tag: str, place: str, default: float) -> float:
+    """Return the number of an element in another, the default where it is not there."""
+    text = "" if element is None else (element.findtext(tag) or "").strip()
+    return parse_finite_number(text, f"{place}: <{tag}>") if text else default
 
 
 DESCRIPTION_FORMATS.register(

@@ -10,7 +10,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from asbuilt.children import STILL, communicate_moving
+from asbuilt.children import STILL, Watch
 from asbuilt.description.formats.description_format import DESCRIPTION_FORMATS, DescriptionFormat
 from asbuilt.description.formats.expansion import SECONDS
 from asbuilt.description.formats.urdf import read_urdf
@@ -70,8 +70,9 @@ def read_xacro(
         stderr=subprocess.PIPE,
         env=dict(os.environ) if trusted else build_isolated_environment({}),
     )
-    done = communicate_moving(process)
-    if done is None:
+    with Watch(process, SECONDS) as watch:
+        output, errors = process.communicate()
+    if watch.stopped:
         raise DescriptionError(
             f"{path}: xacro was stopped after {STILL:.0f} s without progress", file=str(path)
         )
@@ -79,7 +80,6 @@ def read_xacro(
         raise DescriptionError(
             f"{path}: xacro takes more than {SECONDS} s of computing to expand it", file=str(path)
         )
-    output, errors = done
     if process.returncode:
         message = errors.decode("utf-8", "replace").strip() or "no reason given"
         if name := _find_missing_argument(message):

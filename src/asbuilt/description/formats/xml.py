@@ -25,6 +25,8 @@ DEEPEST_ELEMENT = 250
 """Levels of nesting; a chain of 100 bodies in MJCF has about 100."""
 SIZES = Range(0.0, 1e4, "m")
 """Sizes of shapes; some have none in one direction."""
+TEXT = "the description"
+"""What messages call a description that is given as a text."""
 _TAG_OR_COMMENT = re.compile(rb"<(?:!--|(?:\w+:)?([A-Za-z_][\w.-]*))")
 
 
@@ -36,9 +38,9 @@ def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
     Raises `DescriptionError` for a file that cannot be read or is larger than any description.
     """
     if isinstance(path_or_text, bytes):
-        return path_or_text, "the description"
+        return path_or_text, TEXT
     if isinstance(path_or_text, str) and "<" in path_or_text:
-        return path_or_text.encode(), "the description"
+        return path_or_text.encode(), TEXT
     path = Path(path_or_text)
     return read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION), str(path)
 

@@ -4,13 +4,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from functools import lru_cache, wraps
+from typing import ClassVar, Concatenate, TypeVar
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask, read_only
-from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
+from asbuilt.description.structure.closure_kernel import (
+    FARTHEST,
+    SEARCH,
+    SINGULAR,
+    STRIDE,
+    close_loops,
+    move_tree,
+)
 from asbuilt.description.structure.couplings import derive_linear_part
 from asbuilt.description.structure.joint_map import JointMap, ShareDerivatives, TreeMotion
 from asbuilt.description.structure.locking import choose_usual_position
@@ -24,11 +33,9 @@ from asbuilt.description.structure.loops import (
     number_loops,
 )
 from asbuilt.description.structure.parts import ROOT, Joint
+from asbuilt.description.structure.robot import RobotParts
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.findings import Cure, join_names
-
-if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
 
 CLOSED = 1e-4
 """Largest gap of a loop at the first posture, in its size or rad: numbers of four digits."""
@@ -51,6 +58,11 @@ TRIALS = 20
 """Batches of random postures after which a mechanism counts as one without room to move."""
 REGULAR = 0.02
 """Distance to a singular posture from which on rates of passive joints are of usual size."""
+REMEMBERED = 4
+"""Batches of states whose motion is remembered: torques, columns of parameters and the derivatives
+of both are asked for at the same states."""
+LARGEST_REMEMBERED = 1 << 20
+"""Size of a batch of states beyond which it is not remembered, for memory [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +77,28 @@ class Postures:
     gap: Array
     closed: Mask
     distance: Array
+
+
+Found = TypeVar("Found")
+
+
+def _remember(
+    method: Callable[Concatenate[Closure, ...], Found],
+) -> Callable[Concatenate[Closure, ...], Found]:
+    """Let a method of arrays (N, n_joints) remember what it found for the last ones."""
+
+    @lru_cache(maxsize=REMEMBERED)
+    def find(closure: Closure, *states: bytes) -> Found:
+        return method(closure, *(np.frombuffer(x).reshape(-1, closure.n_joints) for x in states))
+
+    @wraps(method)
+    def remembered(closure: Closure, *states: Array) -> Found:
+        arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in states]
+        if sum(x.nbytes for x in arrays) > LARGEST_REMEMBERED:
+            return method(closure, *arrays)
+        return find(closure, *(x.tobytes() for x in arrays))
+
+    return remembered
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +125,7 @@ class Closure(JointMap):
     of_links: Array
 
     # Every state is a solution of the loops' equations.
-    work: ClassVar[int] = 5000
+    work: ClassVar[int] = 1500
 
     @property
     def n_joints(self) -> int:
@@ -103,12 +137,18 @@ class Closure(JointMap):
 
         Raises `MotionError` where the loops do not close, or a posture is singular.
         """
-        motion, quality = self._follow(q, qd, qdd)
+        still = np.zeros_like(q)
+        return self._follow(q, still if qd is None else qd, still if qdd is None else qdd)
+
+    @_remember
+    def _follow(self, q: Array, qd: Array, qdd: Array) -> TreeMotion:
+        postures, quality = self._close(q)
         failed = np.flatnonzero(quality[:, 2] == 0.0)
         if failed.size:
             raise self._make_error(q, int(failed[0]), failed.size, quality[failed[0], 1])
-        return motion
+        return self._move(postures, qd, qdd)
 
+    @_remember
     def derivatives(self, q: Array, qd: Array, qdd: Array) -> ShareDerivatives:
         """Return derivatives of `motion` at states (N, n).
 
@@ -116,20 +156,27 @@ class Closure(JointMap):
         matrix, so that these are exact differences of it. The third ones are central differences.
         """
         n = self.n_joints
+        postures, _ = self._close(q)
         still = np.zeros_like(q)
-        units = np.broadcast_to(np.eye(n)[:, None], (n, *q.shape))
+        units = np.repeat(np.eye(n)[:, None], len(q), axis=1)
         # Polarisation: f(e_j + e_k) - f(e_j) - f(e_k) is twice the mixed derivative.
-        alone = [self.motion(q, unit, still).qdd for unit in units]
+        singles = [self._move(postures, unit, still) for unit in units]
+        alone = [motion.qdd for motion in singles]
+        # du/dq, as joints of the tree are at A u + b.
+        tangents = np.linalg.pinv(self.linear) @ singles[0].shares
         second = np.empty((*alone[0].shape, n, n))
         for j in range(n):
             second[..., j, j] = alone[j]
             for k in range(j):
-                both = self.motion(q, units[j] + units[k], still).qdd
+                both = self._move(postures, units[j] + units[k], still).qdd
                 second[..., j, k] = second[..., k, j] = 0.5 * (both - alone[j] - alone[k])
         position = np.empty((*alone[0].shape, n))
         for j, step in enumerate(DIFFERENCE * self.scale[:n]):
             # Third derivatives have no closed form here; half width is the cube root of rounding.
-            ahead, behind = (self.motion(q + by * units[j], qd, qdd).qdd for by in (step, -step))
+            # What the loops open along the tangent is the same on both sides.
+            ahead, behind = (
+                self._move(postures + by * tangents[..., j], qd, qdd).qdd for by in (step, -step)
+            )
             position[..., j] = (ahead - behind) / (2.0 * step)
         return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
 
@@ -167,14 +214,14 @@ class Closure(JointMap):
 
     def postures(self, q: Array) -> Postures:
         """Return how well the loops close at positions of the motors (N, n)."""
-        motion, quality = self._follow(q)
+        postures, quality = self._close(q)
         closed = quality[:, 2] > 0.0
         gap = quality[:, 0].copy()
         distance = np.zeros(len(q))
         n = self.n_joints
         for k in np.flatnonzero(closed):
             # The smallest singular value, in units in which angles and lengths compare.
-            equations = self.equations(self._find_coordinates(q[k], motion.q[k]))
+            equations = self.equations(postures[k])
             gap[k] = max(self.gaps(equations))
             # The last columns are phi and the bias; the first n are of motors.
             sizes = np.linalg.svd(equations[:, n:-2] * self.scale[n:], compute_uv=False)
@@ -203,32 +250,23 @@ class Closure(JointMap):
         loops = set(self.order[self.numbers.joints].tolist())
         return bool(np.any(self.of_links[sorted(loops), motor]))
 
-    def _find_coordinates(self, q: Array, at: Array) -> Array:
-        """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
-        # Exactly the motors' positions, which least squares would round.
-        known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
-        known[: q.size] = q
-        return np.asarray(known, dtype=np.float64)
+    @_remember
+    def _close(self, q: Array) -> tuple[Array, Array]:
+        """Return postures (N, n_u) and quality (N, 3) of motors (N, n), as of `close_loops`."""
+        order = _choose_order(q / self.scale[: self.n_joints])
+        postures, quality = (part[np.argsort(order)] for part in _run(self, q[order]))
+        return read_only(postures), read_only(quality)
 
-    def _follow(
-        self, q: Array, qd: Array | None = None, qdd: Array | None = None, *, search: bool = False
-    ) -> tuple[TreeMotion, Array]:
-        """Return the motion for motors (N, n), and how well the loops close (N, 3).
-
-        A search takes the first posture for a guess, from which it may go far.
-        """
-        given = [
-            np.zeros(q.shape) if part is None else np.ascontiguousarray(part, dtype=np.float64)
-            for part in (q, qd, qdd)
-        ]
-        samples, n = q.shape
-        n_tree = self.offset.size
-        at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
-        shares = np.zeros((samples, n_tree, n))
-        quality = np.zeros((samples, 3))
-        out = at, rates, accelerations, shares, quality
-        close_loops(*self.arrays, self.scale, self.home, self.tolerance, search, *given, *out)
-        return TreeMotion(at, rates, accelerations, shares), quality
+    def _move(self, postures: Array, qd: Array, qdd: Array) -> TreeMotion:
+        """Return the motion of the joints of the tree in closed postures (N, n_u)."""
+        samples = len(postures)
+        n_tree = len(self.linear)
+        q_tree, rates, accelerations = (np.empty((samples, n_tree)) for _ in range(3))
+        shares = np.empty((samples, n_tree, self.n_joints))
+        move_tree(*self.arrays, postures, qd, qdd, q_tree, rates, accelerations, shares)
+        for array in (q_tree, rates, accelerations, shares):
+            array.setflags(write=False)
+        return TreeMotion(q_tree, rates, accelerations, shares)
 
     def _make_error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
@@ -251,7 +289,31 @@ class Closure(JointMap):
         )
 
 
-def derive_closure(model: RobotModel) -> Closure:
+def _run(closure: Closure, q: Array, *, search: bool = False) -> tuple[Array, Array]:
+    """Return postures (N, n_u) and quality (N, 3) of motors (N, n), as of `close_loops`."""
+    u = closure.home
+    postures = np.empty((len(q), u.size))
+    quality = np.empty((len(q), 3))
+    close_loops(*closure.arrays, closure.scale, u, closure.tolerance, search, q, postures, quality)
+    return postures, quality
+
+
+def _choose_order(q: Array) -> Indices:
+    """Return an order of positions (N, n) in which they follow each other closely.
+
+    As given where they are a motion; random ones are sorted by the motor that goes farthest.
+    """
+    given = np.arange(len(q))
+    steps = np.abs(np.diff(q, axis=0))
+    way = float(steps.max(axis=1).sum())
+    if way <= STRIDE * len(q):
+        return given
+    by_motor = np.argsort(q[:, np.argmax(steps.sum(axis=0))], kind="stable")
+    sorted_way = float(np.abs(np.diff(q[by_motor], axis=0)).max(axis=1).sum())
+    return by_motor if sorted_way < way else given
+
+
+def derive_closure(model: RobotParts) -> Closure:
     """Return how motors move the joints of all links of a robot through its loops.
 
     They are closed at its posture, roughly, joints that it does not name being where they usually
@@ -261,15 +323,14 @@ def derive_closure(model: RobotModel) -> Closure:
     n = model.n_joints
     found = _open(model)
     # The first posture is a guess: Newton may go far, and nothing is within a tolerance yet.
-    motion, quality = found._follow(found.home[None, :n], search=True)
-    at = found._find_coordinates(found.home[:n], motion.q[0])
-    _check_closed(found, at, quality[0])
+    (home,), quality = _run(found, found.home[None, :n].copy(), search=True)
+    _check_closed(found, home, quality[0])
     # Numbers of a description are rounded: their own gap, and some more, is closed.
-    found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * float(quality[0, 0])))
+    found = replace(found, home=home, tolerance=max(ROUNDING, KEPT * float(quality[0, 0])))
     return _derive_typical_shares(found)
 
 
-def _open(model: RobotModel) -> Closure:
+def _open(model: RobotParts) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
     robot = model.name
     n = model.n_joints
@@ -277,7 +338,7 @@ def _open(model: RobotModel) -> Closure:
     posture = model.posture
     order, linear, offset = derive_linear_part(model)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
-    tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
+    tree, _, _ = model.in_tree_order()
     in_tree = {name: (place[link], pose) for name, (link, pose) in model.places.items()}
     numbers = number_loops(robot, model.loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
@@ -352,8 +413,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         raise DescriptionError(
             f"{robot}: the {found.loops[worst]} does not close: a gap of {gap} stays at the first"
             f" posture ({_format_posture(found, u)}); check lengths and points, or give a posture"
-            " nearer"
-            " to a closed one",
+            " nearer to a closed one",
             gap=gaps[worst],
         )
     if quality[2] > 0.0:
@@ -370,8 +430,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         )
     raise DescriptionError(
         f"{robot}: the first posture ({_format_posture(found, u)}) is singular: there the motors"
-        " do not"
-        " place all passive joints; give a posture away from it"
+        " do not place all passive joints; give a posture away from it"
     )
 
 
@@ -396,15 +455,16 @@ def _derive_typical_shares(found: Closure) -> Closure:
     rng = np.random.default_rng(SEED)
     around = rng.uniform(-NEAR, NEAR, (EXAMPLES, n)) * found.scale[:n]
     q = np.vstack([found.home[:n], found.home[:n] + around])
-    motion, quality = found._follow(q)
+    postures, quality = found._close(q)
     good = quality[:, 2] > 0.0
     if np.count_nonzero(good) < 2:
         # A mechanism with little room closes only next to the first posture.
         small = 1e-3 * around
-        motion, quality = found._follow(found.home[:n] + small)
+        postures, quality = found._close(found.home[:n] + small)
         good = quality[:, 2] > 0.0
     _check_motors(found)
-    examples = motion.shares[good]
+    still = np.zeros((np.count_nonzero(good), n))
+    examples = found._move(postures[good], still, still).shares
     shares = np.sqrt(np.mean(examples**2, axis=0))
     # Constant shares are kept to the last digit, so that linear couplings stay exact.
     shares = np.where(np.ptp(examples, axis=0) < UNMOVED, examples[0], shares)
@@ -428,7 +488,7 @@ def _check_motors(found: Closure) -> None:
         )
 
 
-def find_passive_joints(model: RobotModel) -> list[str]:
+def find_passive_joints(model: RobotParts) -> list[str]:
     """Return joints of loops that have no motor, where the description does not name them.
 
     As many as the loops place: joints without limits of torque and drive first, then those far from

@@ -221,7 +221,7 @@ def _write_shares(mechanism, moves, shares):
                     shares[joint, j] += factor * moves[column - n, j]
 
 
-@kernel("i1 i3 f2 f2 b1 f2 i1 f1 f1 f1 f b f2 f2 f2 F2 F2 F2 F3 F2")
+@kernel("i1 i3 f2 f2 b1 f2 i1 f1 f1 f1 f b f2 F2 F2")
 def close_loops(
     kinds,
     paths,
@@ -236,39 +236,31 @@ def close_loops(
     tolerance,
     search,
     q,
-    qd,
-    qdd,
-    at,
-    rates,
-    accelerations,
-    shares,
+    postures,
     quality,
 ):
-    """Write motion (N, n_links) and shares (N, n_links, n) of the joints of the tree.
+    """Write the postures u (N, n + passive) of motors at q (N, n) in which the loops close.
 
     Each sample starts from the one before, the first from the closed posture `home`, in steps that
     keep the assembly mode. `quality[s]` are the gap, the ratio of the pivots of J_p, and 1 where
-    the loops close within `tolerance`; motion is NaN where they do not. With `search`, the passive
-    joints of `home` are a guess from which Newton may go far. `scale` (n + passive,) is 1 for
-    angles, the size of a loop for lengths.
+    the loops close within `tolerance`; postures are NaN where they do not. With `search`, the
+    passive joints of `home` are a guess from which Newton may go far. `scale` (n + passive,) is 1
+    for angles, the size of a loop for lengths.
     """
     mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
     n = q.shape[1]
-    n_tree = at.shape[1]
-    passive = home.size - q.shape[1]
-    rows = count_equations(kinds)
-    work = np.zeros((rows, n + passive + 2))
+    n_tree = offset.size
+    passive = home.size - n
+    work = np.zeros((count_equations(kinds), n + passive + 2))
     room = allocate_workspace(n_tree)
     order = np.zeros(passive, dtype=np.int64)
     step = np.zeros(passive)
-    none = np.zeros(passive)
     here = np.zeros(n_tree)
     still = np.zeros(n_tree)
     # u is the last posture that closed; `known` the last of a sample
     u = home.copy()
     known = home.copy()
     tried = home.copy()
-    rate = np.zeros(home.size)
     moves = np.zeros((passive, n))
     moved = np.zeros((passive, n))
     for sample in range(q.shape[0]):
@@ -309,22 +301,64 @@ def close_loops(
                 share *= 0.25
         quality[sample, 0], quality[sample, 1] = gap, pivot
         quality[sample, 2] = 1.0 if closed else 0.0
-        if not closed:
-            if search:
-                expand_into_tree(mechanism, tried, 1.0, at[sample])
-            else:
-                at[sample] = np.nan
-                rates[sample], accelerations[sample], shares[sample] = np.nan, np.nan, np.nan
+        if closed:
+            postures[sample] = u
+            known[:], moved[:] = u, moves
+        else:
+            postures[sample] = tried if search else np.full(home.size, np.nan)
             # The next sample starts from the last one that closed.
             u[:], moves[:] = known, moved
+
+
+@kernel("i1 i3 f2 f2 b1 f2 i1 f1 f2 f2 f2 F2 F2 F2 F3")
+def move_tree(
+    kinds,
+    paths,
+    numbers,
+    placements,
+    revolute,
+    sources,
+    first,
+    offset,
+    postures,
+    qd,
+    qdd,
+    at,
+    rates,
+    accelerations,
+    shares,
+):
+    """Write motion (N, n_links) and shares (N, n_links, n) of the joints of the tree.
+
+    `postures` (N, n + passive) are those of `close_loops`; where these are NaN, so is the motion.
+    """
+    mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
+    n = qd.shape[1]
+    n_tree = offset.size
+    passive = postures.shape[1] - n
+    work = np.zeros((count_equations(kinds), n + passive + 2))
+    room = allocate_workspace(n_tree)
+    order = np.zeros(passive, dtype=np.int64)
+    step = np.zeros(passive)
+    none = np.zeros(passive)
+    here = np.zeros(n_tree)
+    still = np.zeros(n_tree)
+    rate = np.zeros(n + passive)
+    moves = np.zeros((passive, n))
+    for sample in range(postures.shape[0]):
+        u = postures[sample]
+        if math.isnan(u[0]):
+            at[sample] = np.nan
+            rates[sample], accelerations[sample], shares[sample] = np.nan, np.nan, np.nan
             continue
-        known[:], moved[:] = u, moves
+        _factor_jacobian(mechanism, u, still, n, work, room, here, order)
+        _solve_moves(work, n, order, moves, step)
         expand_into_tree(mechanism, u, 1.0, at[sample])
         _carry_rates(rate, moves, qd[sample], none)
         expand_into_tree(mechanism, rate, 0.0, rates[sample])
         # With rates: the factors at hand are of J alone, and the bias is needed now.
         assemble(mechanism, at[sample], rates[sample], work, room)
-        _reduce(work, rows, n, passive, order)
+        _reduce(work, work.shape[0], n, passive, order)
         _solve(work, n, passive, order, work.shape[1] - 1, step)
         _carry_rates(rate, moves, qdd[sample], step)
         expand_into_tree(mechanism, rate, 0.0, accelerations[sample])

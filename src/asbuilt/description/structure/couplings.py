@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,10 +25,10 @@ from asbuilt.description.structure.parts import (
     Link,
     Mimic,
 )
+from asbuilt.description.structure.robot import RobotParts, order_tree
 from asbuilt.errors import DescriptionError
 
-if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
+Robot = TypeVar("Robot", bound=RobotParts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Coupling(JointMap):
         return self.matrix[np.argsort(self.order)]
 
 
-def separate_followers(model: RobotModel) -> dict[str, object]:
+def separate_followers(model: RobotParts) -> dict[str, object]:
     """Set the joints that follow others apart, with their links after the driven joints' links.
 
     Returns the fields of the robot that change. Armature and friction of a follower of one joint
@@ -68,17 +68,14 @@ def separate_followers(model: RobotModel) -> dict[str, object]:
     """
     robot = model.name
     joints = model.joints
-    links = model.links
     # A wrong order is said in its own words before anything is moved.
     order_tree(robot, joints, len(joints))
     driven = [k for k, joint in enumerate(joints) if joint.has_motor]
     moved = [k for k, joint in enumerate(joints) if not joint.has_motor]
-    order = [*driven, *moved, *range(len(joints), len(links))]
-    place = {was: now for now, was in enumerate(order)} | {ROOT: ROOT}
-    every = model.moving_joints
-    ordered = [replace(every[k], parent=place[every[k].parent]) for k in order]
+    further = range(len(joints), len(model.links))
+    ordered, links, frames = model.in_order([*driven, *moved, *further])
     active = {joint.name: joint for joint in ordered[: len(driven)]}
-    behind = ordered[len(driven) :]
+    behind = [*ordered[len(driven) :]]
     notes: list[str] = []
     # Followers without a motor among the joints come first behind them.
     for k, joint in enumerate(behind[: len(moved)]):
@@ -89,14 +86,13 @@ def separate_followers(model: RobotModel) -> dict[str, object]:
         factors, offset = resolve_coupling(robot, joint, ordered)
         notes.append(
             f"joint {joint.name!r} follows {_format_sum(factors, offset)}; it has no drive and"
-            " needs"
-            " no column in a log"
+            " needs no column in a log"
         )
         # One master takes drive and limits over; of several none could say how much.
         if len(factors) == 1 and next(iter(factors)) in active:
             master, multiplier = next(iter(factors.items()))
-            active[master], further = _take_over_drive(active[master], joint, multiplier, offset)
-            notes += further
+            active[master], said = _take_over_drive(active[master], joint, multiplier, offset)
+            notes += said
         elif joint.drive != DriveValues() or joint.limits != JointLimits():
             notes.append(
                 f"drive and limits of joint {joint.name!r}, which several others move, are left out"
@@ -105,14 +101,14 @@ def separate_followers(model: RobotModel) -> dict[str, object]:
     return {
         "joints": tuple(active.values()),
         "followers": tuple(behind),
-        "links": tuple(links[k] for k in order),
-        "frames": tuple(replace(frame, link=place[frame.link]) for frame in model.frames),
+        "links": links,
+        "frames": frames,
         "motor_coupling": _drop_followers(model, driven, moved),
         "notes": (*model.notes, *(note for note in notes if note not in model.notes)),
     }
 
 
-def _drop_followers(model: RobotModel, driven: list[int], moved: list[int]) -> Array | None:
+def _drop_followers(model: RobotParts, driven: list[int], moved: list[int]) -> Array | None:
     """Return the coupling of motors without the joints that have none."""
     T = None if model.motor_coupling is None else np.asarray(model.motor_coupling)
     # Of another shape it is refused with that of the robot.
@@ -188,36 +184,7 @@ def resolve_coupling(
     return found, offset
 
 
-def order_tree(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
-    """Return the links in an order in which parents come first, driven joints in their own order.
-
-    Raises `DescriptionError` where there is none.
-    """
-    order: list[int] = []
-    for joint in joints:
-        if not ROOT <= joint.parent < len(joints):
-            raise DescriptionError(
-                f"{robot}: joint {joint.name!r} hangs on link index {joint.parent}; the links are 0"
-                f" to {len(joints) - 1}, and {ROOT} for the root"
-            )
-    for link in range(len(joints)):
-        waiting: list[int] = []
-        at = link
-        # Up to a link that is placed already, or the root.
-        while at != ROOT and at not in order:
-            # Driven joints keep their order, which is the order of a log's columns.
-            if at in waiting or (at < n_driven and link < at):
-                raise DescriptionError(
-                    f"{robot}: joint {joints[link].name!r} (number {link + 1}) precedes its parent"
-                    f" link (index {joints[link].parent})"
-                )
-            waiting.append(at)
-            at = joints[at].parent
-        order += reversed(waiting)
-    return order
-
-
-def derive_coupling(model: RobotModel) -> Coupling:
+def derive_coupling(model: RobotParts) -> Coupling:
     """Return how the links of a robot move with its coordinates.
 
     Raises `DescriptionError` where some motion of the coordinates moves no link.
@@ -236,7 +203,7 @@ def derive_coupling(model: RobotModel) -> Coupling:
     return Coupling(order, matrix, offset)
 
 
-def derive_linear_part(model: RobotModel) -> tuple[Indices, Array, Array]:
+def derive_linear_part(model: RobotParts) -> tuple[Indices, Array, Array]:
     """Return order, matrix and offset of the joints of all links.
 
     The columns of the matrix are motors, then passive joints.
@@ -382,11 +349,12 @@ def _match_motors(motors: Mapping[str, object], moved: Mapping[str, Mimic]) -> d
     return at
 
 
-def with_rotors(model: RobotModel) -> RobotModel:
+def with_rotors(model: Robot, shares: Array) -> Robot:
     """Return a robot in which every coordinate is a joint of its own.
 
     A motor that is no joint gets a rotor without weight on the root, and the joint that had its
-    coordinate follows, as other programs need it.
+    coordinate follows, as other programs need it. `shares` (n, n) say how the far side of each
+    drive turns with the coordinates.
     """
     joints = model.joints
     links = model.links
@@ -416,7 +384,6 @@ def with_rotors(model: RobotModel) -> RobotModel:
                 drive=DriveValues(),
             )
         )
-    shares = model.motor_shares
     turning = np.where(np.any(shares, axis=1)[:, None], shares, np.eye(model.n_joints))
     return replace(
         model,

@@ -102,9 +102,6 @@ def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
         SubElement(joint, "parent", link=above)
         SubElement(joint, "child", link=below)
         SubElement(joint, "axis", xyz=axis)
-        if sort == "prismatic":
-            # No effort: nothing drives a base.
-            SubElement(joint, "limit", effort="0", velocity="0")
         above = below
 
 

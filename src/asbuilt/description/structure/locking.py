@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
 from asbuilt.description.rotation import compose_placements
-from asbuilt.description.structure.joint_map import OneToOne
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
+from asbuilt.description.structure.robot import RobotParts
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
 
-if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
+Robot = TypeVar("Robot", bound=RobotParts)
 
 
 def choose_usual_position(limits: JointLimits) -> float:
@@ -63,12 +62,11 @@ def locks_from_text(text: str) -> dict[str, float | None]:
     return found
 
 
-def lock_joints(
-    model: RobotModel, joints: Mapping[str, float | None] | Iterable[str]
-) -> RobotModel:
+def lock_joints(model: Robot, joints: Mapping[str, float | None] | Iterable[str]) -> Robot:
     """Return the robot with some joints held still, as `RobotModel.locked` says."""
+    asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     present, links, frames = model.in_tree_order()
-    values, after, places = _derive_locked_positions(model, present, joints)
+    values, after, places = _derive_locked_positions(model, present, asked)
     if not values:
         return model
     kept, carriers, named = _merge_locked_links(after, links, frames, places)
@@ -85,20 +83,20 @@ def lock_joints(
         held_followers=_find_held_followers(present, model.held_followers, values),
         assumed_carriers=(
             *model.assumed_carriers,
-            *_find_assumed_carriers(present, joints, values, places),
+            *_find_assumed_carriers(present, asked, values, places),
         ),
         usual_drive="",
         mass_ranges=tuple(known for known in model.mass_ranges if {*known.links} <= names),
     )
 
 
-def _drop_locked_motors(model: RobotModel, values: Mapping[str, float]) -> Array | None:
+def _drop_locked_motors(model: RobotParts, values: Mapping[str, float]) -> Array | None:
     """Return the coupling of the motors that are not locked, None where each turns alone."""
     if model.motor_coupling is None:
         return None
     free = [k for k, name in enumerate(model.joint_names) if name not in values]
     coupling = model.motor_coupling[np.ix_(free, free)]
-    if abs(np.linalg.det(coupling)) < 1e-9 and isinstance(model.joint_map, OneToOne):
+    if abs(np.linalg.det(coupling)) < 1e-9 and model.is_one_to_one:
         raise DescriptionError(
             f"{model.name}: with {', '.join(values)} locked, the coupled motors of the other"
             " joints do not turn with these alone; lock the joints coupled to them too"
@@ -170,17 +168,16 @@ def _find_held_followers(
 
 def _find_assumed_carriers(
     present: Sequence[Joint],
-    joints: Mapping[str, float | None] | Iterable[str],
+    asked: Mapping[str, float | None],
     values: Mapping[str, float],
     places: Mapping[str, float],
 ) -> tuple[str, ...]:
     """Return the locked joints on which the pose of a moving one depends, and that nobody gave.
 
-    They carry it, or move it with others. `joints` are the ones asked for, `values` those locked
-    now, `places` where joints stand that are held. The weight of all that a joint carries turns
-    with its position: at 0 it is a guess.
+    They carry it, or move it with others. `asked` are the positions that were given, `values` those
+    locked now, `places` where joints stand that are held. The weight of all that a joint carries
+    turns with its position: at 0 it is a guess.
     """
-    given = joints if isinstance(joints, Mapping) else {}
     carry: set[str] = set()
     # All that lies between a moving joint and the root turns its weight.
     for i, joint in enumerate(present):
@@ -192,12 +189,12 @@ def _find_assumed_carriers(
     guessed = [
         joint.name
         for joint in present
-        if joint.name in values and given.get(joint.name) is None and joint.has_motor
+        if joint.name in values and asked.get(joint.name) is None and joint.has_motor
     ]
     return tuple(name for name in guessed if name in carry)
 
 
-def report_locks(model: RobotModel) -> Iterator[Finding]:
+def report_locks(model: RobotParts) -> Iterator[Finding]:
     """Yield a finding that names the locked joints with their positions.
 
     It is a warning where some of them carry joints that move, at positions that are assumed.
@@ -239,9 +236,9 @@ def report_locks(model: RobotModel) -> Iterator[Finding]:
 
 
 def _derive_locked_positions(
-    model: RobotModel,
+    model: RobotParts,
     present: Sequence[Joint],
-    joints: Mapping[str, float | None] | Iterable[str],
+    asked: Mapping[str, float | None],
 ) -> tuple[dict[str, float], tuple[Joint, ...], dict[str, float]]:
     """Return the positions of all that is locked, the joints then, and where those held stand.
 
@@ -250,7 +247,6 @@ def _derive_locked_positions(
     """
     robot = model.name
     locked = model.locked_joints
-    asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     by_name = {joint.name: joint for joint in present}
     unknown = next((name for name in asked if name not in by_name and name not in locked), None)
     placed = next((name for name in asked if name in by_name and by_name[name].is_passive), None)

@@ -130,8 +130,7 @@ def _place_linear_spring(model: RobotModel, spring: Spring) -> tuple[int, dict[s
         raise DescriptionError(
             f"{spring} spans more than one joint, between {_name_link(model, one)} and"
             f" {_name_link(model, other)}; only springs between a link and the one that carries"
-            " it are"
-            " described"
+            " it are described"
         )
     joint = model.moving_joints[other]
     # A joint that follows has no drive to carry the term.

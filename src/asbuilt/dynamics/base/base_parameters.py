@@ -25,9 +25,9 @@ from asbuilt.dynamics.base.observation_rank import (
     observation_rank,
 )
 from asbuilt.dynamics.base.regrouping import (
+    express_in_base_columns,
     regroup_structurally,
     regroup_symbolically,
-    without_noise,
 )
 from asbuilt.dynamics.base.regrouping_relations import reversed_echelon
 from asbuilt.dynamics.base.symbols import Polynomial, Row, format_sum
@@ -71,13 +71,7 @@ def regroup_numerically(model: RobotModel, drive: DriveSet) -> tuple[Indices, Ar
     _, lengths, basis = np.linalg.svd(np.where(absent, 0.0, Y / scales), full_matrices=True)
     rank = int(np.sum(lengths > RANK_TOLERANCE * lengths[0]))
     echelon, dependent = reversed_echelon(basis[rank:])
-    columns = np.setdiff1d(np.arange(n_columns), dependent)
-    matrix = np.zeros((len(columns), n_columns))
-    matrix[np.arange(len(columns)), columns] = 1.0
-    matrix[:, dependent] = -echelon[:, columns].T * scales[dependent] / scales[columns, None]
-    for b, j in zip(*np.nonzero(matrix), strict=True):
-        matrix[b, j] = without_noise(matrix[b, j])
-    return columns, matrix
+    return express_in_base_columns(echelon, dependent, 1.0 / scales)
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,7 +59,6 @@ class _LinkView:
     `axis` its only axis of rotation, in its frame.
     """
 
-    number: int
     phrase: str
     turns: int
     screws: int
@@ -160,7 +159,7 @@ def _view_closed_chains(model: RobotModel) -> list[_LinkView]:
         phrase = f"link {k + 1} {ways.get(turns, several)}"
         moves = bool(np.abs(own[:, 3:]).max(initial=0.0) > SMALL)
         axis = directions[0] if turns == 1 else np.zeros(3)
-        views.append(_LinkView(k + 1, phrase, turns, screws, axis, moves))
+        views.append(_LinkView(phrase, turns, screws, axis, moves))
     return views
 
 
@@ -254,7 +253,6 @@ def _view_link(found: Regrouping, link: int) -> _LinkView:
     phrase = f"{name} {next(phrase for holds, phrase in phrases if holds)}"
     axis = directions[0] if len(directions) == 1 else np.zeros(3)
     return _LinkView(
-        link + 1,
         phrase,
         len(directions),
         len(twists),

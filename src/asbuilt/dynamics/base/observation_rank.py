@@ -63,7 +63,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     n_columns = first + drive.columns_per_joint * n
     samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
     *state, rigid = _evaluate_links(model, DRAWN * -(-samples // DRAWN))
-    q, qd, qdd = (each[:samples] for each in state)
+    q, qd, qdd = (part[:samples] for part in state)
     rigid = rigid[:, :samples]
     Y = np.zeros((n, samples, n_columns))
     Y[:, :, :first] = rigid

@@ -212,12 +212,7 @@ def regroup_structurally(model: RobotModel, drive: DriveSet) -> Regrouping:
     echelon, dependent = reversed_echelon(
         _complete_null_vectors(find_negligible_columns(model), null)
     )
-    columns = np.setdiff1d(np.arange(len(scales)), dependent)
-    matrix = np.zeros((len(columns), len(scales)))
-    matrix[np.arange(len(columns)), columns] = 1.0
-    matrix[:, dependent] = -echelon[:, columns].T * scales[columns, None] / scales[dependent]
-    for b, j in zip(*np.nonzero(matrix), strict=True):
-        matrix[b, j] = without_noise(matrix[b, j])
+    columns, matrix = express_in_base_columns(echelon, dependent, scales)
     return Regrouping(
         columns=columns,
         matrix=matrix,
@@ -301,9 +296,21 @@ def _agrees(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
     return bool(np.abs(values - row).max() <= LETTER_TOLERANCE * np.abs(row).max())
 
 
-def without_noise(value: float) -> float:
-    """Return the number to 15 significant digits: 0.16 for 0.16000000000000003."""
-    return float(f"{value:.14e}")
+def express_in_base_columns(
+    echelon: Array, dependent: Indices, scales: Array
+) -> tuple[Indices, Array]:
+    """Return the independent columns and the matrix K with `Y = Y[:, columns] K`.
+
+    `echelon` are null vectors of Y read from the end, with pivots at the `dependent` columns, in
+    units `scales` of each column. Factors have 15 significant digits: 0.16 for 0.16000000000000003.
+    """
+    columns = np.setdiff1d(np.arange(len(scales)), dependent)
+    matrix = np.zeros((len(columns), len(scales)))
+    matrix[np.arange(len(columns)), columns] = 1.0
+    matrix[:, dependent] = -echelon[:, columns].T * scales[columns, None] / scales[dependent]
+    for b, j in zip(*np.nonzero(matrix), strict=True):
+        matrix[b, j] = float(f"{matrix[b, j]:.14e}")
+    return columns, matrix
 
 
 def _derive_symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:

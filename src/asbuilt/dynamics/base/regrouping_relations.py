@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import placement
 
 RANK_TOLERANCE = 1e-10
 """A direction counts as absent where it is smaller than this, relative to the largest.
@@ -34,37 +36,15 @@ LENGTH_EXPONENTS = np.array([2.0] * 6 + [1.0] * 3 + [0.0])
 SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def shift_of_rotation(rotation: Array) -> Array:
-    """Return the (10, 10) map of inertial parameters to a parent frame that is only turned.
-
-    `I' = R I R^T, h' = R h`.
-    """
-    shift = np.zeros((10, 10))
-    for column, (i, j) in enumerate(SYMMETRIC):
-        tensor = np.outer(rotation[:, i], rotation[:, j])
-        tensor = tensor if i == j else tensor + tensor.T
-        shift[:6, column] = [tensor[a, b] for a, b in SYMMETRIC]
-    shift[6:9, 6:9] = rotation
-    shift[9, 9] = 1.0
-    return shift
-
-
-def _build_shift(t: Array) -> Array:
-    shift = np.eye(10)
-    for k in range(3):
-        tensor = 2.0 * t[k] * np.eye(3) - (np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t))
-        shift[:6, 6 + k] = [tensor[a, b] for a, b in SYMMETRIC]
-    tensor = t @ t * np.eye(3) - np.outer(t, t)
-    shift[:6, 9] = [tensor[a, b] for a, b in SYMMETRIC]
-    shift[6:9, 9] = t
-    return shift
-
-
 def _build_translation_tensors() -> tuple[Array, Array]:
-    S = _build_shift
+    def shift(t: Array) -> Array:
+        return shift_matrix(placement(translation=t))
+
     unit = np.eye(3)
-    linear = np.array([(S(a) - S(-a)) / 2.0 for a in unit])
-    square = np.array([[(S(a + b) - S(a) - S(b) + np.eye(10)) / 2.0 for b in unit] for a in unit])
+    linear = np.array([(shift(a) - shift(-a)) / 2.0 for a in unit])
+    square = np.array(
+        [[(shift(a + b) - shift(a) - shift(b) + np.eye(10)) / 2.0 for b in unit] for a in unit]
+    )
     return linear, square
 
 
@@ -92,7 +72,7 @@ def _build_turn_harmonics() -> tuple[Array, Array]:
             axis=1,
         )
     )
-    shifts = np.einsum("ka,aij->kij", fourier, [shift_of_rotation(turn) for turn in turns])
+    shifts = np.einsum("ka,aij->kij", fourier, [shift_matrix(placement(turn)) for turn in turns])
     rotations = np.einsum("ka,aij->kij", fourier, turns)
     return np.round(8.0 * shifts) / 8.0, np.round(8.0 * rotations) / 8.0
 
@@ -230,9 +210,7 @@ def characteristic_length(model: RobotModel) -> float:
     1 if all are zero.
     """
     sizes = [
-        np.abs(placement[:3, 3]).max()
-        for joint in model.joints
-        for placement in (joint.before, joint.after)
+        np.abs(side[:3, 3]).max() for joint in model.joints for side in (joint.before, joint.after)
     ]
     largest = max(sizes)
     return float(2.0 ** np.round(np.log2(largest))) if largest > 0.0 else 1.0
@@ -304,12 +282,7 @@ def _carry_through_joint(
     to_joint = np.zeros((6, 6))
     to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
     to_joint[3:, :3] = -rotation.T @ _build_cross(translation)
-    shift = (
-        np.eye(10)
-        + np.einsum("a,aij->ij", translation, SHIFT_LINEAR)
-        + np.einsum("a,b,abij->ij", translation, translation, SHIFT_SQUARE)
-    )
-    shift = shift @ shift_of_rotation(rotation)
+    shift = shift_matrix(placement(rotation, translation))
     twists = parent.twists @ to_joint.T
     kinetic = parent.kinetic @ shift
     gravity = np.hstack([parent.gravity[:, :3] @ rotation, parent.gravity[:, 3:]])

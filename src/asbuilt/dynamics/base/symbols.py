@@ -11,6 +11,7 @@ from math import prod
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.lengths import add_symbols, evaluate_lengths, rotate_symbols
 from asbuilt.description.model import RobotModel, Symbols
 from asbuilt.description.rotation import placement
@@ -20,7 +21,6 @@ from asbuilt.dynamics.base.regrouping_relations import (
     SHIFT_SQUARE,
     RegroupingRelations,
     characteristic_length,
-    shift_of_rotation,
 )
 
 NUMBER = ""
@@ -192,7 +192,7 @@ def _shift_parameters(parameters: Array, rotation: Array, symbols: Symbols, firs
 
     `first + 9`.
     """
-    turned = shift_of_rotation(rotation) @ parameters
+    turned = shift_matrix(placement(rotation)) @ parameters
     along = [
         Polynomial({() if symbol == NUMBER else (symbol,): factor for factor, symbol in axis})
         for axis in symbols

@@ -233,13 +233,15 @@ class DriveSet:
     ) -> Array:
         """Return the columns of one joint, shape (columns_per_joint, n_samples).
 
-        The inputs have shape (n_samples,). `load` is the rigid-body torque of the joint, for terms
-        that need it; `out` is reused memory for the result; `joint` (counted from 0) is needed if a
-        nonlinear parameter has one value per joint; `motor` is position, velocity and acceleration
-        of a motor that several joints turn, without which columns of terms `of_motor` are zero.
+        The inputs have shape (n_samples,), or all one other shape, such as one for several joints,
+        which the result then has after its first axis. `load` is the rigid-body torque of the
+        joint, for terms that need it; `out` is reused memory for the result; `joint` (counted from
+        0) is needed if a nonlinear parameter has one value per joint; `motor` is position, velocity
+        and acceleration of a motor that several joints turn, without which columns of terms
+        `of_motor` are zero.
         Raises UsageError if a term needs a load and none is given.
         """
-        columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
+        columns = np.empty((self.columns_per_joint, *q.shape)) if out is None else out
         row = 0
         for shared in self.terms:
             term = shared if joint is None else shared.at(joint)

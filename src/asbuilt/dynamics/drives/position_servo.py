@@ -157,8 +157,8 @@ class PositionServo:
     def completed(self, other: Self) -> Self:
         """Return the servo with gains and torque limits of another one where its own are open."""
         mine, theirs = (
-            np.array([each.kp, each.kd, each.torque_limit], dtype=np.float64)
-            for each in (self, other)
+            np.array([servo.kp, servo.kd, servo.torque_limit], dtype=np.float64)
+            for servo in (self, other)
         )
         kp, kd, limit = np.where(np.isfinite(mine), mine, theirs).tolist()
         return replace(self, kp=tuple(kp), kd=tuple(kd), torque_limit=tuple(limit))

@@ -63,10 +63,8 @@ class Capsule:
         found = []
         for axis in (*axes, *np.eye(3)):
             centred = cloud - middle
-            centred -= (
-                (centred - np.outer(centred @ axis, axis)).max(axis=0)
-                + (centred - np.outer(centred @ axis, axis)).min(axis=0)
-            ) / 2
+            across = centred - np.outer(centred @ axis, axis)
+            centred -= (across.max(axis=0) + across.min(axis=0)) / 2
             along = centred @ axis
             off = np.linalg.norm(centred - np.outer(along, axis), axis=1)
             radius = float(off.max())

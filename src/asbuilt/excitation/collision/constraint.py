@@ -314,13 +314,11 @@ def measure_clearance(model: RobotModel, motion: Motion, source: str) -> Clearan
     bodies = build_surroundings(model, source)
     guard = CollisionGuard(model, bodies)
     t = np.linspace(0.0, motion.duration, int(np.ceil(motion.duration * CHECK_RATE)) + 1)
-    nearest = [
-        guard.smallest_distance(motion.derivative(part))
-        for part in np.array_split(t, max(1, len(t) // POSES_AT_ONCE))
-    ]
+    parts = np.array_split(t, max(1, len(t) // POSES_AT_ONCE))
+    nearest = [guard.smallest_distance(motion.derivative(part)) for part in parts]
     distance = min(nearest)
     if distance <= 0.0:
-        part = np.array_split(t, max(1, len(t) // POSES_AT_ONCE))[int(np.argmin(nearest))]
+        part = parts[int(np.argmin(nearest))]
         raise MotionError(
             f"bodies of {source} overlap by {-1000 * distance:.0f} mm between t = {part[0]:.2f} and"
             f" {part[-1]:.2f} s of the motion",

@@ -87,13 +87,13 @@ def design_fixed(
     whole = Deadline(limit)
     reserve = DESIGN_REFINEMENT * limit
     deadline = Deadline((1.0 - DESIGN_REFINEMENT) * limit)
-    search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
+    search = DesignSearch(objective, options, family, tuple(constraints), deadline)
     # Starting processes takes longer than few searches.
     others = (cores or count_cores()) - 1 if options.starts >= DESIGN_POOL_FROM else 0
     bound = family_bound = None
     with use_one_blas_thread(), open_pool(search.search, others, scheduler) as pool:
         if with_bound:
-            bound, family_bound = design_bounds(model, information, options, family, progress)
+            bound, family_bound = design_bounds(information, options, family, progress)
         # The bounds have taken their share: what is left is the search's.
         candidates = search.run(pool, progress)
         if not candidates:
@@ -112,8 +112,6 @@ def design_fixed(
         )
     motion = search.motion(refined[0])
     return describe_design(
-        model,
-        base,
         options,
         family,
         motion,
@@ -143,7 +141,6 @@ def choose_size(
 
 
 def design_bounds(
-    model: RobotModel,
     information: Information,
     options: DesignOptions,
     family: Parametrisation,
@@ -154,6 +151,7 @@ def design_bounds(
     A series whose highest frequency is w obeys `|qd| <= w r` and `|qdd| <= w max |qd|`, r half the
     range of q (Bernstein 1912). Bounds that run out of time are looser, but still bounds.
     """
+    model = information.model
     bounds = MotionBounds.assumed(model, options.fraction)
     torque = options.torque_fraction * MotionBounds.of(model).torque
     # Band-limited families have a second bound, of states that they can reach.

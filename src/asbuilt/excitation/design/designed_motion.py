@@ -19,11 +19,15 @@ from asbuilt.excitation.design.static_poses import StaticDesign
 from asbuilt.excitation.information.information import (
     Criterion,
     Information,
-    complete_limits,
     mean_information,
 )
 from asbuilt.excitation.information.information_bound import InformationBound
-from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
+from asbuilt.excitation.limits import (
+    LimitReport,
+    MotionBounds,
+    check_motion,
+    complete_limits,
+)
 from asbuilt.excitation.motions.motion import JUMPING, Motion, check_limit_array
 from asbuilt.excitation.motions.parametrisation import Parametrisation
 from asbuilt.excitation.motions.point_to_point import CHECK_RATE
@@ -249,23 +253,22 @@ class Design:
 
 
 def describe_design(
-    model: RobotModel,
-    base: BaseParameters,
     options: DesignOptions,
     family: Parametrisation,
     motion: Motion,
     objective: Objective,
     *,
-    constraints: Sequence[StateConstraint] = (),
-    bound: InformationBound | None = None,
-    family_bound: InformationBound | None = None,
-    value: float | None = None,
-    candidates: tuple[float, ...] = (),
-    seconds: float = 0.0,
-    interrupted: bool = False,
-    notes: tuple[str, ...] = (),
+    constraints: Sequence[StateConstraint],
+    bound: InformationBound | None,
+    family_bound: InformationBound | None,
+    value: float,
+    candidates: tuple[float, ...],
+    seconds: float,
+    interrupted: bool,
+    notes: tuple[str, ...],
 ) -> Design:
     """Return the design of this motion, evaluated at 1 kHz with exact drive columns."""
+    model = objective.information.model
     limited, assumed = complete_limits(model)
     count = max(1, int(motion.duration * CHECK_RATE))
     # A finer grid than the search's, so that nothing between its nodes is missed.
@@ -273,14 +276,12 @@ def describe_design(
     mean = mean_information(objective.information, *states)
     checked = [*constraints]
     if options.power:
-        checked.insert(
-            # Limits in front: their notes come first.
-            0,
-            PowerLimit(model, check_limit_array(options.power, model.n_joints, "power")),
-        )
+        # Limits in front: their notes come first.
+        limit = check_limit_array(options.power, model.n_joints, "power")
+        checked.insert(0, PowerLimit(model, limit))
     return Design(
         model=model,
-        base=base,
+        base=objective.information.base,
         options=replace(options, duration=motion.duration),
         motion=motion,
         noise=objective.information.noise,
@@ -293,7 +294,7 @@ def describe_design(
         limits=check_motion(limited, motion, CHECK_RATE),
         assumed=assumed,
         collision_distance=smallest_distance(constraints, states[0]),
-        value=objective.value(mean) if value is None else value,
+        value=value,
         candidates=candidates,
         solve_seconds=seconds,
         interrupted=interrupted,

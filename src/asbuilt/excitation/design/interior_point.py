@@ -49,6 +49,11 @@ class MotionProgram(ABC):
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Evaluation:
         """Return the function to be maximised."""
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape of the coefficients, (n_basis, n)."""
+        return self.bases[0].shape[1], self.half.shape[1]
+
     def states(self, coefficients: Array) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations at the nodes."""
         return (
@@ -58,31 +63,40 @@ class MotionProgram(ABC):
         )
 
     def margins(self, coefficients: Array) -> list[Array]:
-        """Return the slacks: for each order above and below, then of the state constraints."""
+        """Return the slacks (sides, N, m) of each order, then of each state constraint.
+
+        The upper side comes first; a constraint that is not two-sided has no lower one.
+        """
         slacks = []
         for basis, centre, half in zip(self.bases, self.centre, self.half, strict=True):
             v = (basis @ coefficients - centre) / half
-            slacks += [1.0 - v, 1.0 + v]
+            slacks.append(np.stack([1.0 - v, 1.0 + v]))
         state = self.states(coefficients)
         for constraint in self.constraints:
             v = constraint.values(*state)
             most = 1.0 - self.margin
-            slacks += [most - v, most + v] if constraint.two_sided else [most - v]
+            slacks.append(np.stack([most - v, most + v] if constraint.two_sided else [most - v]))
         return slacks
+
+    def smallest_margin(self, coefficients: Array) -> float:
+        """Return the smallest of all slacks; strictly feasible coefficients have a positive one."""
+        return min(float(slack.min()) for slack in self.margins(coefficients))
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A local optimum: coefficients (n_basis, n), value, iterations, convergence."""
+    """A local optimum of search `number`: coefficients (n_basis, n), value, iterations spent."""
 
     coefficients: Array
     value: float
-    iterations: int
-    converged: bool
+    iterations: int = 0
+    number: int = 0
 
 
 @dataclass(eq=False)
 class _Point:
+    """Coefficients with value and gradient, slopes of the state constraints, and all slacks."""
+
     coefficients: Array
     value: float
     gradient: Array
@@ -96,9 +110,7 @@ def solve(
     *,
     barrier: tuple[float, float] = (0.1, 1e-4),
     most_iterations: int = 400,
-    tolerance: float = 1e-4,
     cancelled: Callable[[], bool] = lambda: False,
-    improved: Callable[[Array, float], None] | None = None,
 ) -> Optimum | None:
     """Climb from strictly feasible coefficients; return None if the start is not feasible.
 
@@ -106,7 +118,6 @@ def solve(
     primal-dual multipliers for the constraints, whose curvature is exact to first order, and a
     damped BFGS approximation of the curvature of f (Nocedal & Wright 2006, chapter 19; Powell
     1978). Line search on the barrier function itself keeps all slacks positive.
-    `improved(coefficients, value)` is called with each iterate.
     """
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
@@ -124,13 +135,11 @@ def solve(
     # On the central path: multiplier times slack is mu.
     duals = [mu / s for s in point.slacks]
     since = 0
-    last_value = -np.inf
-    converged = False
     spent = 0
     for spent in range(1, most_iterations + 1):  # noqa: B007
         if cancelled():
             break
-        pull = [z_up - z_low for z_up, z_low in _pair_sides(program, duals)]
+        pull = [_subtract_lower(z) for z in duals]
         residual = -point.gradient + _sum_all_slopes(program, point, pull)
         mismatch = max(
             # How far multipliers are from the central path.
@@ -142,26 +151,14 @@ def solve(
         # Solved well enough for this barrier, or it does not get better: on to the next.
         if error < 10 * mu or since > SOLVER_STEPS:
             if mu <= mu_end * 1.0001:
-                converged = error < 10 * mu or point.value - last_value < tolerance
-                if converged or since > SOLVER_STEPS:
-                    break
-            else:
-                mu = max(mu_end, SOLVER_SHRINKAGE * mu)
-                since = 0
-                last_value = point.value
-        steep = [
-            # Gradient of the barrier function itself, by which the line search goes.
-            mu / s_up - mu / s_low
-            for s_up, s_low in _pair_sides(program, point.slacks, np.inf)
-        ]
+                break
+            mu = max(mu_end, SOLVER_SHRINKAGE * mu)
+            since = 0
+        # Gradient of the barrier function itself, by which the line search goes.
+        steep = [_subtract_lower(mu / s) for s in point.slacks]
         slope = -point.gradient + _sum_all_slopes(program, point, steep)
         # Primal-dual: multipliers over slacks in place of mu over slack squared.
-        stiffness = [
-            z_up / s_up + z_low / s_low
-            for (z_up, z_low), (s_up, s_low) in zip(
-                _pair_sides(program, duals), _pair_sides(program, point.slacks, np.inf), strict=True
-            )
-        ]
+        stiffness = [(z / s).sum(axis=0) for z, s in zip(duals, point.slacks, strict=True)]
         hessian = curvature + _build_stiffness(program, point, stiffness)
         try:
             step = -cho_solve(cho_factor(hessian), slope)
@@ -185,11 +182,9 @@ def solve(
         shift = length * step
         duals = _step_duals(program, point, moved, duals, step, mu)
         # Only what is curved in the coefficients: box limits are linear.
-        curved_pull = [z_up - z_low for z_up, z_low in _pair_sides(program, duals)][
-            len(program.bases) :
-        ]
-        change = _evaluate_curved_gradient(program, moved, curved_pull) - _evaluate_curved_gradient(
-            program, point, curved_pull
+        pull = [_subtract_lower(z) for z in duals]
+        change = _evaluate_curved_gradient(program, moved, pull) - _evaluate_curved_gradient(
+            program, point, pull
         )
         if fresh:
             # A first guess of the size of the curvature, from the first step.
@@ -199,20 +194,17 @@ def solve(
             fresh = False
         curvature = _update_curvature(curvature, shift, change)
         point = moved
-        if improved is not None:
-            improved(point.coefficients, point.value)
-    return Optimum(point.coefficients, point.value, spent, converged)
+    return Optimum(point.coefficients, point.value, spent)
 
 
 def _flatten(by_coefficient: Array) -> Array:
-    """Return (n_basis, n) joint by joint."""
+    """Return (n_basis, n) joint by joint; `reshape(n, n_basis).T` undoes it."""
     return by_coefficient.T.reshape(-1)
 
 
 def _build_metric(program: MotionProgram) -> Array:
     """Return the quadratic form of the mean squared normalised q, qd and qdd."""
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
+    n_basis, n = program.shape
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half in zip(program.bases[:3], program.half, strict=False):
         gram = basis.T @ basis / len(basis)
@@ -264,29 +256,14 @@ def _build_curved_stiffness(program: MotionProgram, slopes: Array, weights: Arra
     return np.vstack([flat @ half[:, j].reshape(samples * orders, -1) for j in range(n)])
 
 
-def _pair_sides(
-    program: MotionProgram, each: list[Array], absent: float = 0.0
-) -> list[tuple[Array, Array]]:
-    """Return the upper and lower side of each group of constraints, `absent` if one-sided."""
-    sides = []
-    at = 0
-    for _ in program.bases:
-        sides.append((each[at], each[at + 1]))
-        at += 2
-    for constraint in program.constraints:
-        if constraint.two_sided:
-            sides.append((each[at], each[at + 1]))
-            at += 2
-        else:
-            # A side that is absent has no multiplier, and an infinite slack.
-            sides.append((each[at], np.full_like(each[at], absent)))
-            at += 1
-    return sides
+def _subtract_lower(sides: Array) -> Array:
+    """Return the upper less the lower side (N, m): they push against each other."""
+    return np.asarray(sides[0] - sides[1] if len(sides) == 2 else sides[0])
 
 
 def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array]) -> Array:
     """Return `sum weights dv/dx` over all normalised values v."""
-    total = np.zeros((program.bases[0].shape[1], program.half.shape[1]))
+    total = np.zeros(program.shape)
     for basis, half, w in zip(program.bases, program.half, weights, strict=False):
         total += basis.T @ (w / half)
     flat = _flatten(total)
@@ -296,8 +273,7 @@ def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array])
 
 
 def _build_stiffness(program: MotionProgram, point: _Point, stiffness: list[Array]) -> Array:
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
+    n_basis, n = program.shape
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half, w in zip(program.bases, program.half, stiffness, strict=False):
         # Joints without a limit add nothing.
@@ -310,7 +286,12 @@ def _build_stiffness(program: MotionProgram, point: _Point, stiffness: list[Arra
 
 
 def _evaluate_barrier(slacks: list[Array]) -> float:
-    return sum(float(np.log(s).sum()) for s in slacks)
+    return sum(float(np.log(side).sum()) for sides in slacks for side in sides)
+
+
+def _approach_sides(speed: Array) -> Array:
+    """Return the rates (2, N, m) of the upper and lower slack where values change by `speed`."""
+    return np.stack([-speed, speed])
 
 
 def _find_way_to_zero(values: Array, step: Array) -> float:
@@ -322,15 +303,11 @@ def _find_way_to_zero(values: Array, step: Array) -> float:
 def _search_line(
     program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float
 ) -> tuple[_Point | None, float]:
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
-    direction = step.reshape(n, n_basis).T
+    direction = step.reshape(program.shape[::-1]).T
     length = 1.0
-    for k, (basis, half) in enumerate(zip(program.bases, program.half, strict=True)):
-        speed = basis @ direction / half
-        for s, ds in ((point.slacks[2 * k], -speed), (point.slacks[2 * k + 1], speed)):
-            # As far as the linear constraints allow; curved ones are asked at each trial.
-            length = min(length, _find_way_to_zero(s, ds))
+    # As far as the linear constraints allow; curved ones are asked at each trial.
+    for sides, basis, half in zip(point.slacks, program.bases, program.half, strict=False):
+        length = min(length, _find_way_to_zero(sides, _approach_sides(basis @ direction / half)))
     reference = -point.value - mu * _evaluate_barrier(point.slacks)
     fall = float(slope @ step)
     for _ in range(SOLVER_BACKTRACKS):
@@ -353,16 +330,12 @@ def _step_duals(
     program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
 ) -> list[Array]:
     """Take the Newton step of the positive multipliers and keep them near the central path."""
-    n_basis = program.bases[0].shape[1]
-    n = program.half.shape[1]
-    direction = step.reshape(n, n_basis).T
-    rates: list[Array] = []
-    for basis, half in zip(program.bases, program.half, strict=True):
-        speed = basis @ direction / half
-        rates += [-speed, speed]
-    for constraint, slopes in zip(program.constraints, old.curved, strict=True):
-        speed = _differentiate_along(program, slopes, direction)
-        rates += [-speed, speed] if constraint.two_sided else [-speed]
+    direction = step.reshape(program.shape[::-1]).T
+    speeds = [
+        basis @ direction / half for basis, half in zip(program.bases, program.half, strict=True)
+    ]
+    speeds += [_differentiate_along(program, slopes, direction) for slopes in old.curved]
+    rates = [_approach_sides(speed)[: len(s)] for speed, s in zip(speeds, old.slacks, strict=True)]
     # s z = mu, linearised.
     moves = [mu / s - z - z / s * ds for z, s, ds in zip(duals, old.slacks, rates, strict=True)]
     length = 1.0
@@ -379,7 +352,7 @@ def _step_duals(
 def _evaluate_curved_gradient(program: MotionProgram, point: _Point, pull: list[Array]) -> Array:
     """Return the part of the Lagrangian's gradient that is not linear in the coefficients."""
     total = -point.gradient
-    for slopes, w in zip(point.curved, pull, strict=True):
+    for slopes, w in zip(point.curved, pull[len(program.bases) :], strict=True):
         total = total + _sum_slopes(program, slopes, w)
     return total
 

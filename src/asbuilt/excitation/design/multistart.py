@@ -13,7 +13,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.design.interior_point import Optimum
 from asbuilt.executor import Workers, open_workers
@@ -95,28 +94,6 @@ def _run(work: Callable[[object], object], task: object) -> object:
         return work(task)
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """Coefficients and value of a local optimum; the value is minus infinity if none was found.
-
-    `iterations` are those of its search.
-    """
-
-    number: int
-    coefficients: Array
-    value: float
-    iterations: int = 0
-
-    @classmethod
-    def of(cls, number: int, optimum: Optimum | None) -> Candidate:
-        """Return the candidate of an optimum, or of none."""
-        return (
-            cls(number, np.zeros((0, 0)), -np.inf)
-            if optimum is None
-            else cls(number, optimum.coefficients, optimum.value, optimum.iterations)
-        )
-
-
 @dataclass(frozen=True, slots=True)
 class SearchProgress:
     """State of a phase of a design: seconds and searches, spent and planned; best value so far."""
@@ -172,23 +149,23 @@ class Deadline:
 
 def search_all(
     tasks: Iterable[Task],
-    search: Callable[[Task], Candidate],
+    search: Callable[[Task], Optimum | None],
     deadline: Deadline,
     *,
-    pool: SearchPool[Task, Candidate] | None = None,
+    pool: SearchPool[Task, Optimum | None] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
-) -> list[Candidate]:
-    """Return the candidates of all tasks, searched here and in a pool, best first.
+) -> list[Optimum]:
+    """Return the optima of all tasks that have one, searched here and in a pool, best first.
 
     A keyboard interrupt or the deadline ends the searches early and keeps their results. Each
     search must check the deadline itself; the first one starts even after the deadline. The order
     does not depend on timing, and tasks of a lost pool are searched here.
     """
-    found: list[Candidate] = []
+    found: list[Optimum | None] = []
     waiting = deque(tasks)
     planned = len(waiting)
-    pending: dict[Future[Candidate], Task] = {}
-    own: Future[Candidate] | None = None
+    pending: dict[Future[Optimum | None], Task] = {}
+    own: Future[Optimum | None] | None = None
     with use_one_blas_thread(), ThreadPoolExecutor(max_workers=1) as here:
         try:
             while True:
@@ -217,7 +194,7 @@ def search_all(
                     own = None if future is own else own
                     found.append(future.result())
                 if progress is not None:
-                    best = max((candidate.value for candidate in found), default=-np.inf)
+                    best = max((optimum.value for optimum in found if optimum), default=-np.inf)
                     progress(
                         SearchProgress(
                             deadline.elapsed, deadline.seconds, len(found), planned, best
@@ -231,13 +208,11 @@ def search_all(
                 pool.close()
             if own is not None:
                 found.append(own.result())
-    return rank_candidates(found)
+    # A motion that determines not all parameters has no finite value.
+    return rank_optima(optimum for optimum in found if optimum and np.isfinite(optimum.value))
 
 
-def rank_candidates(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Return the successful candidates, best first, equal ones by number."""
-    return sorted(
-        (candidate for candidate in candidates if np.isfinite(candidate.value)),
-        # By number where equal, so that the order does not depend on timing.
-        key=lambda c: (-c.value, c.number),
-    )
+def rank_optima(optima: Iterable[Optimum]) -> list[Optimum]:
+    """Return the optima, best first, equal ones by number."""
+    # By number where equal, so that the order does not depend on timing.
+    return sorted(optima, key=lambda optimum: (-optimum.value, optimum.number))

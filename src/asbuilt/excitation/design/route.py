@@ -83,9 +83,9 @@ def plan_route(
     apart = _measure_distances(poses, poses, bounds)
     route = find_short_tour(apart)
     if roadmap is not None:
-        pairs = [(i, j) for i in range(len(poses)) for j in range(i)]
         blocked = np.zeros(apart.shape, dtype=bool)
-        blocked[tuple(np.transpose(pairs))] = ~segments_free(poses, pairs, obstacles)
+        pairs = np.argwhere(np.triu(~blocked, 1))
+        blocked[tuple(pairs.T)] = ~segments_free(poses, pairs.tolist(), obstacles)
         blocked |= blocked.T
         # Blocked segments are expensive, not forbidden: a tour without them may not exist.
         route = find_short_tour(np.where(blocked, apart + 1e3 * (1 + apart.max()), apart))
@@ -161,7 +161,7 @@ def _measure_distances(first: Array, second: Array, bounds: MotionBounds) -> Arr
 
 
 def segments_free(
-    nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
+    nodes: Array, pairs: Sequence[Sequence[int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.bool_]:
     """Return whether the straight segment between each pair of nodes is free of collisions."""
     # Largest move of a joint between poses that are checked along a segment [rad or m].
@@ -182,7 +182,7 @@ def segments_free(
 
 
 def _select_free_segments(
-    nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
+    nodes: Array, pairs: Sequence[Sequence[int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.int64]:
     """Return the pairs of nodes (E, 2) whose segment is free."""
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)[segments_free(nodes, pairs, obstacles)]
@@ -203,11 +203,11 @@ def _find_shortest_routes(
         np.argsort(_measure_distances(poses, roadmap.nodes, bounds), axis=1)[:, :NEIGHBOURS] + count
     )
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]
-    direct = [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
+    direct = np.argwhere(np.tril(~blocked, -1))
     ends = np.vstack(
         [
             _select_free_segments(nodes, pairs, obstacles),
-            np.array(direct, dtype=np.int64).reshape(-1, 2),
+            direct,
             roadmap.edges + count,
         ]
     )

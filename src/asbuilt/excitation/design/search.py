@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
 from asbuilt.excitation.design.interior_point import Optimum, solve
 from asbuilt.excitation.design.multistart import (
-    Candidate,
     Deadline,
     SearchPool,
     SearchProgress,
-    rank_candidates,
+    rank_optima,
     search_all,
 )
 from asbuilt.excitation.information.information import draw_states, mean_information
@@ -82,7 +79,7 @@ class Task:
     """
 
     number: int
-    origin: Candidate | None = None
+    origin: Optimum | None = None
     refined_until: Deadline | None = None
     iterations: int = SEARCH_ITERATIONS
 
@@ -102,13 +99,13 @@ class DesignSearch:
 
     def __init__(
         self,
-        model: RobotModel,
         objective: Objective,
         options: DesignOptions,
         family: Parametrisation,
         constraints: tuple[StateConstraint, ...],
         deadline: Deadline,
     ) -> None:
+        model = objective.information.model
         self.family = family
         self._model = model
         self._objective = objective
@@ -145,6 +142,15 @@ class DesignSearch:
         work = self._n_nodes * (state + model.joint_map.work)
         self._iterations = round(options.starts * SEARCH_WORK / work)
         self._refinement = round(SEARCH_REFINED_STARTS * SEARCH_WORK / work)
+        # Random starts, and most searches with their restarts. Rounds end by themselves, so that a
+        # long search tries other regions.
+        starts = options.starts
+        sizes = [min(SEARCH_ROUND, starts - k) for k in range(0, starts, SEARCH_ROUND)]
+        restarts = [math.ceil(SEARCH_RESTARTS_PER_START * size / SEARCH_BATCH) for size in sizes]
+        self._rounds = [
+            (size, size + SEARCH_BATCH * batches)
+            for size, batches in zip(sizes, restarts, strict=True)
+        ]
 
     def _build_program(
         self, n_nodes: int, margin: tuple[float, float], family: Parametrisation | None = None
@@ -156,26 +162,20 @@ class DesignSearch:
 
     def run(
         self,
-        pool: SearchPool[Task, Candidate] | None,
+        pool: SearchPool[Task, Optimum | None] | None,
         progress: Callable[[SearchProgress], None] | None,
-    ) -> list[Candidate]:
+    ) -> list[Optimum]:
         """Return the candidates, best first, of all rounds for which work and time are left."""
-        starts = self._options.starts
-        batch = SEARCH_BATCH
-        # Rounds end by themselves, so that a long search tries other regions.
-        sizes = [min(SEARCH_ROUND, starts - k) for k in range(0, starts, SEARCH_ROUND)]
-        lengths = [
-            size + batch * math.ceil(SEARCH_RESTARTS_PER_START * size / batch) for size in sizes
-        ]
-        found: list[Candidate] = []
+        found: list[Optimum] = []
         first = 0
-        for size, length in zip(sizes, lengths, strict=True):
+        for size, length in self._rounds:
             # Something must be found before work or time may end the search.
             if found and self._is_over:
                 break
             best = found[0].value if found else -np.inf
-            report = partial(self._report, progress, best, sum(lengths))
-            found = rank_candidates([*found, *self._run_round(first, size, length, pool, report)])
+            found = rank_optima(
+                [*found, *self._run_round(first, size, length, best, pool, progress)]
+            )
             first += length
         return found
 
@@ -184,30 +184,29 @@ class DesignSearch:
         first: int,
         size: int,
         length: int,
-        pool: SearchPool[Task, Candidate] | None,
-        report: Callable[[int, float, SearchProgress], None],
-    ) -> list[Candidate]:
+        best_before: float,
+        pool: SearchPool[Task, Optimum | None] | None,
+        progress: Callable[[SearchProgress], None] | None,
+    ) -> list[Optimum]:
         """Return the candidates of one round, best first; its searches are numbered from `first`.
 
         Random starts, then restarts from disturbed optima (basin hopping, Wales & Doye 1997) in
         batches, until some batches in a row bring no gain.
         """
         tasks = [Task(first + k) for k in range(size)]
-        progress = partial(report, first, -np.inf)
-        found = self._search_tasks(tasks, pool, progress)
+        found = self._search_tasks(tasks, best_before, pool, progress)
         idle = 0
         done = size
-        batch = SEARCH_BATCH
         while found and done < length and idle < SEARCH_IDLE_BATCHES and not self._is_over:
             best = found[0].value
             parents = found[:SEARCH_PARENTS]
             # The best parents in turn, whatever the number of cores: results do not depend on it.
-            tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
-            progress = partial(report, first + done, best)
-            found = rank_candidates([*found, *self._search_tasks(tasks, pool, progress)])
+            tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(SEARCH_BATCH)]
+            restarted = self._search_tasks(tasks, max(best, best_before), pool, progress)
+            found = rank_optima([*found, *restarted])
             # One gain starts the patience anew.
             idle = idle + 1 if found[0].value < best + SEARCH_LEAST_GAIN else 0
-            done += batch
+            done += SEARCH_BATCH
         return found
 
     @property
@@ -218,22 +217,39 @@ class DesignSearch:
     def _search_tasks(
         self,
         tasks: list[Task],
-        pool: SearchPool[Task, Candidate] | None,
-        progress: Callable[[SearchProgress], None],
-    ) -> list[Candidate]:
-        """Return the candidates, best first, of the tasks for which there is work left."""
-        shared = share_iterations(tasks, self._iterations)
-        found = search_all(shared, self.search, self._deadline, pool=pool, progress=progress)
+        best: float,
+        pool: SearchPool[Task, Optimum | None] | None,
+        progress: Callable[[SearchProgress], None] | None,
+    ) -> list[Optimum]:
+        """Return the candidates, best first, of the tasks for which there is work left.
+
+        `best` is the value of the best candidate before.
+        """
+        planned = sum(length for _, length in self._rounds)
+
+        def report(state: SearchProgress) -> None:
+            assert progress is not None
+            finished = tasks[0].number + state.finished
+            highest = max(best, state.best)
+            progress(replace(state, finished=finished, planned=planned, best=highest))
+
+        found = search_all(
+            share_iterations(tasks, self._iterations),
+            self.search,
+            self._deadline,
+            pool=pool,
+            progress=report if progress else None,
+        )
         self._iterations -= sum(candidate.iterations for candidate in found)
         return found
 
     def refine(
         self,
-        candidates: list[Candidate],
+        candidates: list[Optimum],
         deadline: Deadline,
-        pool: SearchPool[Task, Candidate] | None,
+        pool: SearchPool[Task, Optimum | None] | None,
         progress: Callable[[SearchProgress], None] | None,
-    ) -> list[Candidate]:
+    ) -> list[Optimum]:
         """Return the best of the candidates refined, best first, with the work that is left.
 
         Local optima are of nearly equal value: refined, another one may be best.
@@ -250,32 +266,19 @@ class DesignSearch:
         others = [replace(task, iterations=SEARCH_FEWEST_ITERATIONS) for task in others]
         return search_all(others, self.search, deadline, pool=pool, progress=progress)
 
-    @staticmethod
-    def _report(
-        progress: Callable[[SearchProgress], None] | None,
-        best: float,
-        planned: int,
-        before: int,
-        own_best: float,
-        state: SearchProgress,
-    ) -> None:
-        if progress is not None:
-            finished = before + state.finished
-            highest = max(best, own_best, state.best)
-            progress(replace(state, finished=finished, planned=planned, best=highest))
-
-    def search(self, task: Task) -> Candidate:
-        """Return the candidate of a task, which depends on nothing else."""
+    def search(self, task: Task) -> Optimum | None:
+        """Return the optimum of a task, which depends on nothing else, if there is one."""
         if task.refined_until is not None:
             assert task.origin is not None
             return self._refine(task.origin, task.refined_until, task.iterations)
         # By seed and number: a task gives the same anywhere.
         rng = np.random.default_rng([self._options.seed, task.number])
         if task.origin is not None:
-            return self._restart(task, rng, task.origin)
-        start = self._draw_start(rng)
-        optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RANDOM, task.iterations)
-        return Candidate.of(task.number, optimum)
+            optimum = self._restart(task, rng, task.origin)
+        else:
+            start = self._draw_start(rng)
+            optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RANDOM, task.iterations)
+        return None if optimum is None else replace(optimum, number=task.number)
 
     def _solve(
         self,
@@ -292,7 +295,7 @@ class DesignSearch:
             program, start, barrier=barrier, most_iterations=iterations, cancelled=cancelled
         )
 
-    def _restart(self, task: Task, rng: np.random.Generator, parent: Candidate) -> Candidate:
+    def _restart(self, task: Task, rng: np.random.Generator, parent: Optimum) -> Optimum | None:
         for _ in range(10):
             other = self._draw_start(rng)
             if other is None:
@@ -304,10 +307,10 @@ class DesignSearch:
             )
             optimum = self._solve(self._coarse, start, SEARCH_BARRIER_RESTART, task.iterations)
             if optimum is not None:
-                return Candidate.of(task.number, optimum)
-        return Candidate.of(task.number, None)
+                return optimum
+        return None
 
-    def _refine(self, candidate: Candidate, deadline: Deadline, iterations: int) -> Candidate:
+    def _refine(self, candidate: Optimum, deadline: Deadline, iterations: int) -> Optimum | None:
         coefficients = candidate.coefficients
         family = self.family
         value = candidate.value
@@ -325,24 +328,22 @@ class DesignSearch:
                 value = optimum.value
         kept = self._repair(coefficients, family)
         if kept is None:
-            return Candidate.of(candidate.number, None)
+            return None
         if isinstance(family, PointToPoint):
             # A controller's motion through the poses decides, not the search's nodes.
             moved = self._pace(kept)
             assert moved is not None
-            return Candidate(
-                candidate.number,
-                kept,
-                self._objective.value(mean_information(self._objective.information, *moved)),
-            )
-        return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
+            value = self._objective.value(mean_information(self._objective.information, *moved))
+        else:
+            value = dense.evaluate(*dense.states(kept)).value
+        return Optimum(kept, value, number=candidate.number)
 
     def _pace(self, poses: Array) -> tuple[Array, Array, Array] | None:
         """Return the states at 1 kHz of a controller's motion through the poses, if it has one."""
         motion = pace_moves(poses, self._bounds, self._constraints)
         return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
 
-    def motion(self, candidate: Candidate) -> Motion:
+    def motion(self, candidate: Optimum) -> Motion:
         """Return the motion of a refined candidate; poses are joined as a controller does.
 
         Moves whose torque is too large are slowed down.
@@ -409,7 +410,7 @@ class DesignSearch:
             pose = low + rng.uniform(0.1, 0.9, size=n) * (high - low)
             for _ in range(6):
                 coefficients = shape + np.outer(constant, pose)
-                if min(float(slack.min()) for slack in program.margins(coefficients)) > 1e-6:
+                if program.smallest_margin(coefficients) > 1e-6:
                     return coefficients
                 # State constraints are broken by size more often than by place.
                 shape = 0.6 * shape
@@ -420,15 +421,19 @@ class DesignSearch:
 
         They shrink just enough to be strictly feasible.
         """
-        mean_pose = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
-        middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         # As little as needed: shrinking gives information away.
         for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
-            for pose in (middle, mean_pose):
+            for pose in self._list_centres(program, coefficients):
                 inner: Array = coefficients + part * (pose - coefficients)
-                if min(float(slack.min()) for slack in program.margins(inner)) > 1e-6:
+                if program.smallest_margin(inner) > 1e-6:
                     return inner
         return None
+
+    def _list_centres(self, program: DesignProgram, coefficients: Array) -> list[Array]:
+        """Return coefficients of rest at the middle of the range and at the mean of the motion."""
+        middle = (self._bounds.lower + self._bounds.upper) / 2
+        mean = (program.bases[0] @ coefficients).mean(axis=0)
+        return [np.outer(self.family.constant, pose) for pose in (middle, mean)]
 
     def _repair(self, coefficients: Array, family: Parametrisation) -> Array | None:
         """Return the coefficients, shrunk until every constraint holds at 1 kHz."""
@@ -436,16 +441,14 @@ class DesignSearch:
             max(self._n_nodes, int(family.span * CHECK_RATE)), (0.0, 0.0), family
         )
         least, most = SEARCH_SHRINKAGE
-        middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
-        mean_pose = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
-        for pose in (middle, mean_pose):
+        for pose in self._list_centres(grid, coefficients):
             part = 0.0
             for _ in range(SEARCH_REPAIRS):
                 trial: Array = coefficients + part * (pose - coefficients)
                 if isinstance(family, PointToPoint):
                     worst = -least if self._pace(trial) is None else 0.0
                 else:
-                    worst = min(float(slack.min()) for slack in grid.margins(trial))
+                    worst = grid.smallest_margin(trial)
                 # Strictly nothing: refined motions hold the limits at 1 kHz.
                 if worst >= 0:
                     return trial

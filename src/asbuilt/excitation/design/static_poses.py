@@ -18,8 +18,13 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, plan_route, segments_free
-from asbuilt.excitation.information.information import DOptimality, Information, complete_limits
-from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
+from asbuilt.excitation.information.information import DOptimality, Information
+from asbuilt.excitation.limits import (
+    LimitReport,
+    MotionBounds,
+    check_motion,
+    complete_limits,
+)
 from asbuilt.excitation.motions.point_to_point import (
     CHECK_RATE,
     PointToPointMotion,
@@ -202,26 +207,25 @@ def _weight_pose_rows(information: Information, poses: Array, kept: Array) -> Ar
     # Exact columns: at rest a smooth friction would be zero anyway.
     rows = information.rows(poses, rest, rest, smooth=False)
     whole = np.zeros((len(poses), information.model.n_joints, information.n_parameters))
-    plan = information.plan
-    for k, (support, (first, stop)) in enumerate(
-        zip(plan.support, plan.bounds.tolist(), strict=True)
-    ):
-        whole[:, k, support] = rows[first:stop, : len(poses)].T / information.noise[k]
+    for k, (support, own, sigma) in enumerate(information.joints):
+        whole[:, k, support] = rows[own, : len(poses)].T / sigma
     return np.asarray(whole @ kept)
 
 
 def _find_determined(information: Information, poses: Array) -> Array:
     """Return an orthonormal basis (p_base, p) of the combinations that gravity determines."""
-    rows = _weight_pose_rows(information, poses, np.eye(information.n_parameters))
-    eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
+    everything = np.eye(information.n_parameters)
+    eigenvalues, vectors = np.linalg.eigh(_sum_information(information, everything, poses))
     largest = max(float(eigenvalues[-1]), np.finfo(float).tiny)
     # Combinations below that share move no torque.
     return np.asarray(vectors[:, eigenvalues > STATIC_SMALLEST_EIGENVALUE * largest])
 
 
 def _sum_information(information: Information, kept: Array, poses: Array) -> Array:
-    rows = _weight_pose_rows(information, poses, kept)
-    return np.asarray(np.einsum("ski,skj->ij", rows, rows))
+    """Return the information of poses (K, n) in the coordinates `kept`, (p, p)."""
+    rest = np.zeros_like(poses)
+    rows = information.rows(poses, rest, rest, smooth=False)
+    return np.asarray(kept.T @ information.matrix(rows, len(poses)) @ kept)
 
 
 def _select_optimal_subset(rows: Array, count: int) -> list[int]:

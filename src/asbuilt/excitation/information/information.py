@@ -14,19 +14,14 @@ from scipy.linalg import cho_solve
 
 from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import BaseParameters, inverse_dynamics
+from asbuilt.dynamics import BaseParameters, drive_columns, inverse_dynamics
 from asbuilt.dynamics.drives.drive_set import NO_DRIVE
+from asbuilt.dynamics.drives.term import STATE, Formula
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 
-ASSUMED = {
-    "position": ("lower", "upper"),
-    "velocity": ("velocity",),
-    "acceleration": ("acceleration",),
-}
-"""Quantities whose limits are assumed where the description lacks them, and the limits."""
 SCALING_STATES = 500
 """Random states over which the units of the parameters are averaged."""
 
@@ -90,6 +85,12 @@ class Information:
         """The evaluation of the base columns."""
         return RegressorPlan.of(self.model, self.base.drive, self.base.columns)
 
+    @cached_property
+    def joints(self) -> tuple[tuple[Indices, slice, float], ...]:
+        """Base parameters, rows in the layout of `plan`, and noise of each joint."""
+        rows = (slice(*bounds) for bounds in self.plan.bounds.tolist())
+        return tuple(zip(self.plan.support, rows, self.noise.tolist(), strict=True))
+
     @property
     def n_parameters(self) -> int:
         """Number of base parameters, drive terms included."""
@@ -113,10 +114,8 @@ class Information:
     def matrix(self, rows: Array, n_samples: int) -> Array:
         """Return M (p, p) from what `rows` returned."""
         total = np.zeros((self.n_parameters, self.n_parameters))
-        for support, (first, stop), sigma in zip(
-            self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True
-        ):
-            w = rows[first:stop, :n_samples] / sigma
+        for support, own, sigma in self.joints:
+            w = rows[own, :n_samples] / sigma
             total[np.ix_(support, support)] += w @ w.T
         return total
 
@@ -127,23 +126,19 @@ class Information:
         qdd: Array,
         rows: Array,
         sensitivity: Array,
-        loads: Array | None = None,
-        parameters: Array | None = None,
     ) -> tuple[Array, Array, Array]:
         """Return the derivatives of `tr(P M)`, P = `sensitivity` constant, symmetric, each (N, n).
 
-        With `d phi = tr(P dM)` this is the gradient of phi. `loads` (N, n) are weights of the joint
-        torques of rigid bodies with standard `parameters`, whose derivatives are added.
+        With `d phi = tr(P dM)` this is the gradient of phi.
         """
         count = len(q)
         weights = np.zeros_like(rows)
-        for support, (first, stop), sigma in zip(
-            self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True
-        ):
-            weights[first:stop, :count] = (2.0 / sigma**2) * (
-                sensitivity[np.ix_(support, support)] @ rows[first:stop, :count]
+        for support, own, sigma in self.joints:
+            weights[own, :count] = (2.0 / sigma**2) * (
+                sensitivity[np.ix_(support, support)] @ rows[own, :count]
             )
         drive = self.base.drive
+        loads = None  # weights of the joint torques on which drive columns depend
         slopes = (np.zeros_like(q), np.zeros_like(q), np.zeros_like(q))
         if drive:
             given = np.zeros((drive.columns_per_joint, count, self.model.n_joints))
@@ -160,9 +155,8 @@ class Information:
                 if order < 3:
                     slopes[order][...] += through
                 else:
-                    loads = through if loads is None else loads + through
-                    parameters = self.model.parameters if parameters is None else parameters
-        found = regressor_adjoint(self.plan, q, qd, qdd, weights, loads, parameters)
+                    loads = through
+        found = regressor_adjoint(self.plan, q, qd, qdd, weights, loads, self.model.parameters)
         return found[0] + slopes[0], found[1] + slopes[1], found[2] + slopes[2]
 
     @cached_property
@@ -175,11 +169,9 @@ class Information:
         """The drive columns of each joint in use, and their rows in the layout of `plan`."""
         per = self.base.drive.columns_per_joint
         found = []
-        for k, (support, (first, _)) in enumerate(
-            zip(self.plan.support, self.plan.bounds.tolist(), strict=True)
-        ):
+        for k, (support, rows, _) in enumerate(self.joints):
             own = self.plan.columns[support] - (10 * self.model.n_links + k * per)
-            found.append((own[own >= 0], first + np.flatnonzero(own >= 0)))
+            found.append((own[own >= 0], rows.start + np.flatnonzero(own >= 0)))
         return tuple(found)
 
     def _evaluate_drive_columns(self, state: Sequence[Array]) -> Array:
@@ -198,20 +190,11 @@ class Information:
 
     def _evaluate_exact_drive_columns(self, state: Sequence[Array]) -> Array:
         drive = self.base.drive
-        samples = len(state[0])
-        n = self.model.n_joints
+        load = state[3] if drive.needs_load else None
         if not any(term.differs_by_joint for term in drive.terms):
-            flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
-            return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(
-                -1, samples, n
-            )
-        columns = np.empty((drive.columns_per_joint, samples, n))
-        for k in range(n):
-            own = [np.ascontiguousarray(x[:, k]) for x in state]
-            columns[:, :, k] = drive.evaluate(
-                *own[:3], load=own[3] if len(own) > 3 else None, joint=k
-            )
-        return columns
+            return drive.evaluate(*state[:3], load=load)
+        joints = range(self.model.n_joints)
+        return np.stack([drive_columns(drive, k, *state[:3], load=load) for k in joints], axis=2)
 
     def _list_state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
         load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []
@@ -233,51 +216,24 @@ class Information:
     @cached_property
     def _drive_arguments(self) -> tuple[int, ...]:
         """Which of q, qd, qdd and load the drive columns depend on."""
-        rng = np.random.default_rng(0)
-        state = [
-            rng.uniform(0.1, 1.0, (5, self.model.n_joints))
-            for _ in range(3 + self.base.drive.needs_load)
-        ]
-        reference = self._evaluate_drive_columns(state)
-        moved = [
-            [x + 0.05 if i == order else x for i, x in enumerate(state)]
-            for order in range(len(state))
-        ]
-        return tuple(
-            order
-            for order, other in enumerate(moved)
-            if np.any(self._evaluate_drive_columns(other) != reference)
-        )
+        columns = [column for term in self.base.drive.terms for column in term.columns]
+        used = {name for column in columns for name in Formula(column).names}
+        return tuple(order for order, name in enumerate(STATE) if name in used)
 
 
-def mean_information(
-    information: Information, q: Array, qd: Array, qdd: Array, *, at_once: int = 2048
-) -> Array:
+AT_ONCE = 2048
+"""States evaluated together, for memory."""
+
+
+def mean_information(information: Information, q: Array, qd: Array, qdd: Array) -> Array:
     """Return the information per sample of many states, with exact drive columns, (p, p)."""
     total = np.zeros((information.n_parameters, information.n_parameters))
-    for start in range(0, len(q), at_once):
-        part = slice(start, start + at_once)
+    for start in range(0, len(q), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
         total += information.matrix(
             information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part])
         )
     return total / len(q)
-
-
-def complete_limits(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
-    """Return the robot with complete limits, and the names of those that were assumed."""
-    bounds = MotionBounds.assumed(model)
-    names = [name for each in ASSUMED.values() for name in each]
-    limits = [
-        replace(joint.limits, **{name: float(getattr(bounds, name)[j]) for name in names})
-        for j, joint in enumerate(model.joints)
-    ]
-    assumed = dict.fromkeys(
-        quantity
-        for joint in model.joints
-        for quantity, needed in ASSUMED.items()
-        if not all(np.isfinite(getattr(joint.limits, name)) for name in needed)
-    )
-    return model.with_limits(limits), tuple(assumed)
 
 
 def draw_states(

@@ -17,7 +17,7 @@ from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.errors import UsageError
+from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.information.information import (
     DOptimality,
     Information,
@@ -26,12 +26,15 @@ from asbuilt.excitation.information.information import (
 )
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_constraint import TorqueLimit
+from asbuilt.findings import Cure
 from asbuilt.scaled import Scaled
 
 States = tuple[Array, Array, Array]
 
 ROUNDS = 14
 """Most rounds of a bound for a design."""
+BATCHES = 20
+"""Batches of random states after which a robot counts as too heavy for its drives."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ class InformationBound:
     By the equivalence theorem of Kiefer and Wolfowitz (1960), `log det M* <= log det M + p
     log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1 Y(x))` for any design M and every state x
     within the bounds. `upper` is the right side with the maximum over all states that were
-    evaluated: `n_states` random ones and those reached from them by climbing d. It is exact for
+    evaluated: random ones and those reached from them by climbing d. It is exact for
     these, and a (very likely tight) estimate for the continuum between. States are independent
     here, while a motion cannot be at its highest speed and acceleration in both directions at once.
     """
@@ -91,7 +94,6 @@ class InformationBound:
     information: Array
     log_det: float
     upper: float
-    n_states: int
     support: States
     weights: Array
 
@@ -121,17 +123,17 @@ def information_bound(
 
     Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those
     with the largest d are added after climbing d within the limits, until the gap closes. At least
-    one round is made; the bound is looser if `cancelled` ends the search.
+    one round is made; the bound is looser if `cancelled` ends the search. Raises `MotionError`
+    where random states within `torque` do not determine all parameters.
     """
     rng = np.random.default_rng([seed, 7])
     search = BoundSearch.of(information)
     limit = (
         None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
     )
-    pool = _shrink_to_limit(limit, draw_states(bounds, search.pool, rng, extreme=0.7))
+    pool = _draw_pool(search, information, bounds, limit, rng)
     weights = np.full(len(pool[0]), 1.0 / len(pool[0]))
     p = information.n_parameters
-    seen = len(pool[0])
     best_upper = np.inf
     mean = np.eye(p)
     for _ in range(rounds):
@@ -141,7 +143,6 @@ def information_bound(
         weights = weights[keep] / weights[keep].sum()
         log_det, inverse = DOptimality().value_and_gradient(mean)
         trials = _shrink_to_limit(limit, draw_states(bounds, search.trials, rng, extreme=0.8))
-        seen += len(trials[0])
         worth = variance(information, inverse, trials)
         top = _select_states(trials, np.argsort(-worth)[: search.refined])
         heavy = _select_states(pool, np.argsort(-weights)[: search.refined])
@@ -161,8 +162,32 @@ def information_bound(
         pool = _join_states(pool, new)
         weights = np.concatenate([0.9 * weights, np.full(len(new[0]), 0.1 / len(new[0]))])
     log_det = DOptimality().value(mean)
-    return InformationBound(
-        mean, log_det, max(best_upper, log_det), seen, pool, weights[: len(pool[0])]
+    return InformationBound(mean, log_det, max(best_upper, log_det), pool, weights)
+
+
+def _draw_pool(
+    search: BoundSearch,
+    information: Information,
+    bounds: MotionBounds,
+    limit: TorqueLimit | None,
+    rng: np.random.Generator,
+) -> States:
+    """Return random states within the limits that determine all parameters.
+
+    Raises `MotionError` where there are none: most postures are too heavy for weak drives.
+    """
+    nowhere = np.zeros((0, bounds.lower.size))
+    pool: States = (nowhere, nowhere, nowhere)
+    for _ in range(BATCHES):
+        drawn = draw_states(bounds, search.pool, rng, extreme=0.7)
+        pool = _join_states(pool, _shrink_to_limit(limit, drawn))
+        enough = pool[0].size >= information.n_parameters
+        if enough and np.isfinite(DOptimality().value(mean_information(information, *pool))):
+            return pool
+    raise MotionError(
+        f"{information.model.name}: of {BATCHES * search.pool} random states {len(pool[0])} keep"
+        " the torque limits, too few to determine all base parameters",
+        cure=Cure("allow a larger share of the torque, or correct torque limits and masses"),
     )
 
 
@@ -171,10 +196,8 @@ def variance(information: Information, inverse: Array, states: States) -> Array:
     count = len(states[0])
     rows = information.rows(*states, smooth=False)
     total = np.zeros(count)
-    for support, (first, stop), sigma in zip(
-        information.plan.support, information.plan.bounds.tolist(), information.noise, strict=True
-    ):
-        w = rows[first:stop, :count]
+    for support, own, sigma in information.joints:
+        w = rows[own, :count]
         total += np.einsum("is,is->s", w, inverse[np.ix_(support, support)] @ w) / sigma**2
     return total
 
@@ -186,15 +209,7 @@ def _optimise_weights(
     count = len(pool[0])
     p = information.n_parameters
     rows = information.rows(*pool, smooth=False)
-    parts = [
-        (support, rows[first:stop, :count] / sigma)
-        for support, (first, stop), sigma in zip(
-            information.plan.support,
-            information.plan.bounds.tolist(),
-            information.noise,
-            strict=True,
-        )
-    ]
+    parts = [(support, rows[own, :count] / sigma) for support, own, sigma in information.joints]
     mean = np.zeros((p, p))
     for _ in range(search.weight_steps):
         mean = np.zeros((p, p))
@@ -340,7 +355,8 @@ class InformationEfficiency:
         """Worst determined base parameter of each joint, None for a joint without any."""
         own = [np.flatnonzero(self.owners == k) for k in range(self.base.n_joints)]
         return tuple(
-            int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own
+            int(places[np.argmin(self.by_parameter[places])]) if places.size else None
+            for places in own
         )
 
     @property
@@ -412,7 +428,7 @@ def _find_bound(
     model: RobotModel, drive: DriveSet, widened: Limits
 ) -> tuple[BaseParameters, InformationBound]:
     base = find_base_parameters(model, drive)
-    lower, upper, velocity, acceleration, torque = (np.array(each) for each in widened)
+    lower, upper, velocity, acceleration, torque = (np.array(limit) for limit in widened)
     limits = replace(
         MotionBounds.assumed(model),
         lower=lower,

@@ -84,10 +84,6 @@ class BSplineMotion(BasisMotion):
         """Return the exact smallest and largest value of a derivative, two (n,)."""
         return self.pieces.extremes(order)
 
-    def with_coefficients(self, coefficients: ArrayLike) -> BSplineMotion:
-        """Return the motion of the same duration with other control points, shape (m, n_joints)."""
-        return BSplineMotion(coefficients, self._duration)
-
 
 @dataclass(frozen=True)
 class BSpline(Parametrisation):

@@ -83,32 +83,9 @@ class FourierMotion(BasisMotion):
         """Number of harmonics, L."""
         return int(self.coefficients.shape[0] + 1) // 2
 
-    @property
-    def fundamental(self) -> float:
-        """Fundamental angular frequency w [rad/s]."""
-        return 2 * np.pi / self.period
-
-    @property
-    def series(self) -> tuple[Array, Array, Array]:
-        """`q0` (n,), `a` and `b` (L, n) of the series in the form of Swevers et al. (1997)."""
-        sines = self.coefficients[1 : self.n_harmonics]
-        cosines = self.coefficients[self.n_harmonics :]
-        w = self.fundamental
-        orders = np.arange(2, self.n_harmonics + 1)[:, None]
-        a = w * np.vstack([-sines.sum(axis=0), sines])
-        b = w * np.vstack([-cosines.sum(axis=0), cosines / orders])
-        q0 = self.coefficients[0] + (b / (w * np.arange(1, self.n_harmonics + 1)[:, None])).sum(
-            axis=0
-        )
-        return q0, a, b
-
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
         """Return the derivative of each basis function at the times `t` (N,), (N, 2 L - 1)."""
         return fourier_basis(t, self.period, self.n_harmonics, order)
-
-    def with_coefficients(self, coefficients: ArrayLike) -> FourierMotion:
-        """Return the motion with other coefficients, shape (n_basis, n_joints)."""
-        return FourierMotion(coefficients, self.period, self.periods)
 
     def extremes(self, order: int) -> tuple[Array, Array]:
         """Return the smallest and the largest value of a derivative, two (n,).
@@ -267,7 +244,7 @@ def random_fourier(
         free_high = bounds.upper - size * scale * high
         centre = free_low + place * (free_high - free_low)
         coefficients[0] = centre if home is None else home + size * (centre - home)
-        return shape.with_coefficients(coefficients)
+        return FourierMotion(coefficients, shape.period, periods)
 
     size = 1.0
     for _ in range(ATTEMPTS):

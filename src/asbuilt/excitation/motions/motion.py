@@ -123,13 +123,6 @@ class Motion(ABC):
         """Return q, qd and qdd at the times `t`, each (n,) for one time or (N, n)."""
         return self.derivative(t, 0), self.derivative(t, 1), self.derivative(t, 2)
 
-    def jerk(self, t: ArrayLike) -> Array:
-        """Return the third derivative at the times `t`.
-
-        Jumps of the acceleration are left out.
-        """
-        return self.derivative(t, 3)
-
     @property
     def start(self) -> Array:
         """Joint positions at time 0, shape (n,)."""
@@ -207,10 +200,6 @@ class BasisMotion(Motion):
     @abstractmethod
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
         """Return the derivative of each basis function at the times `t` (N,), (N, n_basis)."""
-
-    @abstractmethod
-    def with_coefficients(self, coefficients: ArrayLike) -> BasisMotion:
-        """Return the motion with the same basis and other coefficients (n_basis, n_joints)."""
 
     @property
     def n_joints(self) -> int:

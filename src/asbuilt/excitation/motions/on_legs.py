@@ -59,7 +59,7 @@ def leg_motions(model: RobotModel, posture: Array) -> Iterator[LegMotion]:
     """
     t = np.arange(0.0, LEG_MOTION_SECONDS, 1.0 / LEG_MOTION_RATE)
     yield from _move_on_feet(model, posture, t)
-    yield from _move_in_the_air(model, posture, t)
+    yield _move_in_the_air(model, posture, t)
 
 
 def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
@@ -78,33 +78,36 @@ def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMo
         ("squatting, leaning and twisting at once", [aside, aside, down, turn, turn, turn]),
     ):
         base = np.array(size) * _build_waves(t, 6, LEG_MOTION_SLOW)
-        yield from _move_base(model, posture, name, base, np.ones(feet, dtype=np.bool_))
+        motion = _move_base(model, posture, name, base, np.ones(feet, dtype=np.bool_))
+        if motion is not None:
+            yield motion
     legs = [_find_joints_above(model, contact.frame) for contact in model.contacts]
-    lifted = [
-        each for k in range(feet) if feet > 1 for each in _lift_foot(model, posture, t, k, legs)
-    ]
+    lifts = [_lift_foot(model, posture, t, k, legs) for k in range(feet) if feet > 1]
+    lifted = [motion for motion in lifts if motion is not None]
     if lifted:
-        q, qd, qdd = (
-            np.concatenate(parts)
-            for parts in zip(*((each.q, each.qd, each.qdd) for each in lifted), strict=True)
+        yield LegMotion(
+            "lifting one foot after the other and swinging its leg",
+            q=np.concatenate([motion.q for motion in lifted]),
+            qd=np.concatenate([motion.qd for motion in lifted]),
+            qdd=np.concatenate([motion.qdd for motion in lifted]),
+            closed=np.concatenate([motion.closed for motion in lifted]),
         )
-        closed = np.concatenate([each.closed for each in lifted])
-        yield LegMotion("lifting one foot after the other and swinging its leg", q, qd, qdd, closed)
     free = sorted(set(range(6, model.n_joints)).difference(*legs))
     if free:
         name = "standing and swinging all joints that carry no foot"
-        yield from _move_base(
-            model, posture, name, np.zeros((t.size, 6)), np.ones(feet, dtype=np.bool_), free
-        )
+        still = np.zeros((t.size, 6))
+        motion = _move_base(model, posture, name, still, np.ones(feet, dtype=np.bool_), free)
+        if motion is not None:
+            yield motion
 
 
 def _lift_foot(
     model: RobotModel, posture: Array, t: Array, k: int, legs: list[set[int]]
-) -> Iterator[LegMotion]:
-    """Yield the motion of the leg of contact k, the others on the ground, if they reach."""
+) -> LegMotion | None:
+    """Return the motion of the leg of contact k, the others on the ground, if they reach."""
     stands = np.arange(len(legs)) != k
     own = sorted(legs[k].difference(*(legs[j] for j in np.flatnonzero(stands))))
-    yield from _move_base(model, posture, "", np.zeros((t.size, 6)), stands, own)
+    return _move_base(model, posture, "", np.zeros((t.size, 6)), stands, own)
 
 
 def _move_base(
@@ -114,8 +117,8 @@ def _move_base(
     base: Array,
     stands: Mask,
     swinging: list[int] | None = None,
-) -> Iterator[LegMotion]:
-    """Yield the motion of a base (N, 6) on feet that stand, if these reach, else none."""
+) -> LegMotion | None:
+    """Return the motion of a base (N, 6) on feet that stand, if these reach."""
     rest = posture
     if not stands.all():
         lifted = np.asarray(
@@ -134,12 +137,12 @@ def _move_base(
         if reached:
             rates = np.gradient(q, 1.0 / LEG_MOTION_RATE, axis=0)
             second = np.gradient(rates, 1.0 / LEG_MOTION_RATE, axis=0)
-            yield LegMotion(name, q, rates, second, np.tile(stands, (len(q), 1)))
-            return
+            return LegMotion(name, q, rates, second, np.tile(stands, (len(q), 1)))
+    return None
 
 
-def _move_in_the_air(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
-    """Yield the motion of all joints where nothing touches the robot, with its momentum."""
+def _move_in_the_air(model: RobotModel, posture: Array, t: Array) -> LegMotion:
+    """Return the motion of all joints where nothing touches the robot, with its momentum."""
     n = model.n_joints
     q = np.tile(posture, (t.size, 1))
     q[:, 6:] += _build_waves(t, n - 6, LEG_MOTION_FAST) * _measure_room(model, posture)[6:]
@@ -152,7 +155,7 @@ def _move_in_the_air(model: RobotModel, posture: Array, t: Array) -> Iterator[Le
     feet = len(model.contacts)
     name = "hops with legs that swing in the air" if feet else "moving all joints at once"
     share = LEG_MOTION_AIRBORNE if feet else 1.0
-    yield LegMotion(name, q, qd, qdd, np.zeros((t.size, feet), dtype=np.bool_), share)
+    return LegMotion(name, q, qd, qdd, np.zeros((t.size, feet), dtype=np.bool_), share)
 
 
 def _solve(A: Array, b: Array) -> Array:

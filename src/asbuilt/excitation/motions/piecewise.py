@@ -213,11 +213,9 @@ def _check_join(k: int, earlier: Motion, later: Motion, dwell: float) -> None:
             )
 
 
-Ends = Literal["rest", "clamped", "natural"]
+Ends = Literal["rest", "natural"]
 
 _END_DERIVATIVES: dict[tuple[int, str], tuple[int, ...]] = {
-    (3, "rest"): (1, 2),
-    (3, "clamped"): (1,),
     (3, "natural"): (2,),
     (5, "rest"): (1, 2),
     (5, "natural"): (3, 4),
@@ -242,11 +240,9 @@ class SplineMotion(PiecewisePolynomial):
     ) -> Self:
         """Pass `way_points` (m, n) at `times` (m,), which start at 0, with degree 3 or 5.
 
-        `ends` says what vanishes at both ends: velocity and acceleration ("rest"), velocity
-        ("clamped", degree 3 only), or the derivatives that make the curve smoothest ("natural":
-        acceleration for degree 3; third and fourth derivative for degree 5). A cubic at rest has
-        two more knots, in the middle of the first and the last interval (Biagiotti & Melchiorri
-        2008, section 4.4.3).
+        `ends` says what vanishes at both ends: velocity and acceleration ("rest", degree 5), or the
+        derivatives that make the curve smoothest ("natural": acceleration for degree 3; third and
+        fourth derivative for degree 5).
 
         Raises
         ------
@@ -277,11 +273,6 @@ class SplineMotion(PiecewisePolynomial):
                 "a natural quintic spline needs at least 3 way points; give more, or ends='rest'"
             )
         knots = t - t[0]
-        if degree == 3 and ends == "rest":
-            knots = np.insert(
-                knots, [1, knots.size - 1], [knots[1] / 2, (knots[-2] + knots[-1]) / 2]
-            )
-            knots = np.unique(knots) if t.size > 2 else np.linspace(0.0, knots[-1], 4)
         padded = np.concatenate([np.zeros(degree), knots, np.full(degree, knots[-1])])
         zeros: Any = [(order, np.zeros(q.shape[1])) for order in vanishing]
         curve = make_interp_spline(t - t[0], q, k=degree, t=padded, bc_type=(zeros, zeros))
@@ -297,10 +288,10 @@ class SplineMotion(PiecewisePolynomial):
         velocity: ArrayLike,
         acceleration: ArrayLike,
         jerk: ArrayLike = np.inf,
-        degree: int = 5,
-        ends: Ends = "rest",
     ) -> Self:
-        """Pass `way_points` (m, n) in a short time within the limits, one number or one per joint.
+        """Pass `way_points` (m, n) in a short time, from rest to rest, within the limits.
+
+        Limits are one number or one per joint.
 
         The times between way points start from the limits of each step alone and are improved by a
         quasi-Newton method (L-BFGS) on a smooth stand-in for the duration; then the whole is scaled
@@ -322,7 +313,7 @@ class SplineMotion(PiecewisePolynomial):
             return np.concatenate([[0.0], np.cumsum(np.exp(logs))])
 
         def factors(logs: Array) -> Array:
-            return _find_time_factors(cls.through(q, times(logs), degree=degree, ends=ends), limits)
+            return _find_time_factors(cls.through(q, times(logs)), limits)
 
         def smooth_duration(logs: Array) -> float:
             return float(
@@ -340,7 +331,7 @@ class SplineMotion(PiecewisePolynomial):
             options={"maxiter": 40},
         ).x
         scaled = [times(logs) * factors(logs).max() for logs in (start, found)]
-        return cls.through(q, min(scaled, key=lambda t: float(t[-1])), degree=degree, ends=ends)
+        return cls.through(q, min(scaled, key=lambda t: float(t[-1])))
 
 
 def _find_time_factors(motion: PiecewisePolynomial, limits: list[Array]) -> Array:

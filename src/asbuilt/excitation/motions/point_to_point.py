@@ -88,8 +88,7 @@ class PointToPointMotion(PiecewisePolynomial):
             raise MotionError(
                 f"the pace of a move must lie above 0 and at most at 1, got {paces.tolist()}"
             )
-        steps: list[float] = []
-        pieces: list[np.ndarray] = []
+        pieces: list[tuple[float, Array]] = []
         for k in range(q.shape[0] - 1):
             d = q[k + 1] - q[k]
             moving = np.abs(d) > STANDSTILL
@@ -98,21 +97,34 @@ class PointToPointMotion(PiecewisePolynomial):
                 a = float(np.min(a_max[moving] / np.abs(d[moving]))) * paces[k] ** 2
                 ramp = min(v / a, 1 / np.sqrt(a))
                 cruise = max(1 / (a * ramp) - ramp, 0.0) if v * v < a else 0.0
-                top = a * ramp
-                reached = a * ramp**2 / 2
-                steps.append(ramp)
-                pieces.append(np.stack([a / 2 * d, 0 * d, q[k]]))
-                if cruise > 0:
-                    steps.append(cruise)
-                    pieces.append(np.stack([0 * d, top * d, q[k] + reached * d]))
-                steps.append(ramp)
-                pieces.append(np.stack([-a / 2 * d, top * d, q[k + 1] - reached * d]))
+                pieces += _shape_move(q[k], q[k + 1], a, ramp, cruise)
             if k < dwells.size and dwells[k] > 0:
-                steps.append(float(dwells[k]))
-                pieces.append(np.stack([0 * d, 0 * d, q[k + 1]]))
-        if not steps:
+                pieces.append((float(dwells[k]), np.stack([0 * d, 0 * d, q[k + 1]])))
+        if not pieces:
             raise MotionError("the poses are all the same and there is no dwell; nothing moves")
-        return cls(np.concatenate([[0.0], np.cumsum(steps)]), np.stack(pieces, axis=1))
+        return cls(*_join_pieces(pieces))
+
+
+def _shape_move(
+    start: Array, end: Array, a: float, ramp: float, cruise: float
+) -> list[tuple[float, Array]]:
+    """Return duration and coefficients (3, n) of the pieces of a straight move s(t) from 0 to 1.
+
+    It speeds up with `s'' = a` for the time `ramp`, cruises, and slows down.
+    """
+    d = end - start
+    top = a * ramp
+    reached = a * ramp**2 / 2
+    speeding = (ramp, np.stack([a / 2 * d, 0 * d, start]))
+    cruising = (cruise, np.stack([0 * d, top * d, start + reached * d]))
+    slowing = (ramp, np.stack([-a / 2 * d, top * d, end - reached * d]))
+    return [speeding, cruising, slowing] if cruise > 0 else [speeding, slowing]
+
+
+def _join_pieces(pieces: Sequence[tuple[float, Array]]) -> tuple[Array, Array]:
+    """Return breaks (m + 1,) and coefficients (3, m, n) of pieces one after the other."""
+    steps, coefficients = zip(*pieces, strict=True)
+    return np.concatenate([[0.0], np.cumsum(steps)]), np.stack(coefficients, axis=1)
 
 
 @dataclass(frozen=True)
@@ -133,51 +145,17 @@ class PointToPoint(Parametrisation):
 
     def basis(self, t: Array, order: int) -> Array:
         """Return the derivative of this order of the basis functions."""
-        steps = self._list_steps()
-        edges = np.concatenate([[0.0], np.cumsum(steps)])
-        move = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(steps) - 1)
-        s = (t - edges[move]) / steps[move]
-        length = steps[move]
-        top = 1.5
-        hard = 4.5
-        speeding = s < 1 / 3
-        slowing = s > 2 / 3
-        if order == 0:
-            part = np.where(
-                speeding,
-                hard * s**2 / 2,
-                np.where(slowing, 1 - hard * (1 - s) ** 2 / 2, 0.25 + top * (s - 1 / 3)),
-            )
-        elif order == 1:
-            part = np.where(speeding, hard * s, np.where(slowing, hard * (1 - s), top)) / length
-        elif order == 2:
-            part = np.where(speeding, hard, np.where(slowing, -hard, 0.0)) / length**2
-        else:
-            part = np.zeros_like(s)
-        found = np.zeros((len(t), self.size))
-        rows = np.arange(len(t))
-        found[rows, move] = (1.0 if order == 0 else 0.0) - part
-        found[rows, move + 1] = part
-        return found
+        return self.motion(np.eye(self.size)).derivative(t, order)
 
     def motion(self, coefficients: Array) -> Motion:
         """Return the moves at the given times."""
-        edges = np.concatenate([[0.0], np.cumsum(self._list_steps())])
-        breaks = [0.0]
-        pieces = []
-        for k, step in enumerate(self._list_steps()):
-            start = coefficients[k]
-            way = coefficients[k + 1] - coefficients[k]
-            third = step / 3
-            hard = 4.5 / step**2
-            top = 1.5 / step
-            breaks += [edges[k] + third, edges[k] + 2 * third, edges[k + 1]]
-            pieces += [
-                np.stack([hard / 2 * way, 0 * way, start]),
-                np.stack([0 * way, top * way, start + 0.25 * way]),
-                np.stack([-hard / 2 * way, top * way, start + 0.75 * way]),
-            ]
-        return PiecewisePolynomial(np.array(breaks), np.stack(pieces, axis=1))
+        pieces: list[tuple[float, Array]] = []
+        for start, end, step in zip(
+            coefficients[:-1], coefficients[1:], self._list_steps(), strict=True
+        ):
+            # Thirds: the acceleration is 4.5 of the mean, which is way over time squared.
+            pieces += _shape_move(start, end, 4.5 / step**2, step / 3, step / 3)
+        return PiecewisePolynomial(*_join_pieces(pieces))
 
     def retimed(self, steps: Array) -> PointToPoint:
         """Return the family with moves in proportion to `steps`, of the same duration."""

@@ -101,43 +101,43 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
         refuse_turn(recording, feet, R, inverse, w, f)
     refuse_rates(recording, feet, w, f, R)
     arm = placement[:3, 3]
-    dt = 1.0 / recording.rate
     alpha = np.gradient(w, recording.t, axis=0)
     f = f - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
     if R is None:
-        R = _level(_integrate_turn(w, f, dt), f, feet, w, recording.rate)
-    v, offset = estimate_base_velocity(R, f, feet, w, recording.rate, model.gravity)
+        R = _level(recording, _integrate_turn(w, f, recording.t), f, feet, w)
+    v, offset = estimate_base_velocity(recording, R, f, feet, w, model.gravity)
     refuse_heading(recording, feet, R, f, w, v, model.gravity)
-    columns = _make_base_columns(R, v, w, alpha, f - offset, model.gravity, dt)
+    columns = _make_base_columns(R, v, w, alpha, f - offset, model.gravity, recording.t)
     where = sensor.rpartition("/")[2]
     note = f"the motion of the base is from the inertial sensor at {where} and the feet that stand"
     return replace(recording, extra=dict(known) | columns, notes=(*recording.notes, note))
 
 
 def estimate_base_velocity(
-    R: Array, f: Array, feet: Feet, w: Array, rate: float, gravity: Array
+    recording: Recording, R: Array, f: Array, feet: Feet, w: Array, gravity: Array
 ) -> tuple[Array, Array]:
     """Return the velocity of the base (N, 3) in world axes, and the offset of the sensor (3,).
 
     The velocity is the integral of the accelerometer, but for what it drifts by, which feet that
     stand say: `v = integral (R (f - b) + g) + v0`, and slow deviations from that.
     """
-    dt = 1.0 / rate
+    t = recording.t
     acceleration = np.einsum("sij,sj->si", R, f) + gravity
-    fallen = cumulative_trapezoid(acceleration, dx=dt, axis=0, initial=0)
+    fallen = cumulative_trapezoid(acceleration, t, axis=0, initial=0)
     own, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
-    if known.size < rate:  # it hardly touches: the drift is not known, and no velocity enters
+    if known.size < recording.rate:
+        # It hardly touches: the drift is not known, and no velocity enters.
         return fallen, np.zeros(3)
     off = (fallen - np.einsum("sij,sj->si", R, own))[known]
-    turned = cumulative_trapezoid(R, dx=dt, axis=0, initial=0)
+    turned = cumulative_trapezoid(R, t, axis=0, initial=0)
     start = np.broadcast_to(np.eye(3), (known.size, 3, 3))
     columns = np.concatenate([turned[known], start], axis=2)
     fit = np.linalg.lstsq(columns.reshape(-1, 6), off.ravel(), rcond=None)[0]
     left = off - columns @ fit
-    left = np.stack([np.interp(np.arange(len(f)), known, x) for x in left.T], axis=1)
+    left = np.stack([np.interp(t, t[known], x) for x in left.T], axis=1)
     steady = turned @ fit[:3] + fit[3:]
-    return np.asarray(fallen - steady - select_slow_part(left, DRIFT, rate)), fit[:3]
+    return np.asarray(fallen - steady - select_slow_part(left, DRIFT, recording.rate)), fit[:3]
 
 
 def select_slow_part(x: Array, frequency: float, rate: float) -> Array:
@@ -152,23 +152,23 @@ def select_slow_part(x: Array, frequency: float, rate: float) -> Array:
     return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
 
 
-def _level(R: Array, f: Array, feet: Feet, w: Array, rate: float) -> Array:
+def _level(recording: Recording, R: Array, f: Array, feet: Feet, w: Array) -> Array:
     """Return rotations (N, 3, 3) whose slow tilt agrees with gravity."""
     own, count = feet.base_velocity(w)
     for _ in range(UPDATES):
         moved = np.einsum("sij,sj->si", R, own)
         moved[count == 0] = 0.0
-        force = np.einsum("sij,sj->si", R, f) - np.gradient(moved, 1.0 / rate, axis=0)
-        up = select_slow_part(force, TILT, rate)
+        force = np.einsum("sij,sj->si", R, f) - np.gradient(moved, recording.t, axis=0)
+        up = select_slow_part(force, TILT, recording.rate)
         up /= np.linalg.norm(up, axis=1)[:, None]
         R = Rotation.from_rotvec(np.cross(up, [0.0, 0.0, 1.0])).as_matrix() @ R
     return R
 
 
-def _integrate_turn(w: Array, f: Array, dt: float) -> Array:
+def _integrate_turn(w: Array, f: Array, t: Array) -> Array:
     """Return rotations (N, 3, 3) that begin upright by f and turn by w (N, 3) in their own axes."""
     start = Rotation.align_vectors([[0.0, 0.0, 1.0]], f[:50].mean(axis=0)[None])[0].as_matrix()
-    steps = Rotation.from_rotvec(0.5 * dt * (w[1:] + w[:-1])).as_matrix()
+    steps = Rotation.from_rotvec(0.5 * np.diff(t)[:, None] * (w[1:] + w[:-1])).as_matrix()
     found = np.empty((len(w), 3, 3))
     found[0] = start
     for k, step in enumerate(steps):
@@ -177,13 +177,13 @@ def _integrate_turn(w: Array, f: Array, dt: float) -> Array:
 
 
 def _make_base_columns(
-    R: Array, v: Array, w: Array, alpha: Array, f: Array, gravity: Array, dt: float
+    R: Array, v: Array, w: Array, alpha: Array, f: Array, gravity: Array, t: Array
 ) -> dict[str, Array]:
     """Return the columns of a base with velocities v (N, 3) in world axes, w in its own.
 
     `base_a` is the rate of change of the velocity in base axes, which is `R^T a - w x R^T v`.
     """
-    place = cumulative_trapezoid(v, dx=dt, axis=0, initial=0)
+    place = cumulative_trapezoid(v, t, axis=0, initial=0)
     own = np.einsum("sji,sj->si", R, v)
     a = f + np.einsum("sji,j->si", R, gravity) - np.cross(w, own)
     turn = Rotation.from_matrix(R).as_quat()
@@ -335,7 +335,7 @@ def refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array 
         off = feet.slip
     else:
         what = "gravity"
-        off = partial(_measure_turn_of_gravity, feet, f, recording.rate)
+        off = partial(_measure_turn_of_gravity, recording, feet, f)
     reading = find_better_reading(off, w, ((name, w @ M.T) for M, name in _list_readings()))
     if reading is not None:
         raise make_sensor_error(
@@ -349,16 +349,17 @@ def _measure_distance(wanted: Array, w: Array) -> float:
     return float(np.mean((w - wanted) ** 2))
 
 
-def _measure_turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> float:
+def _measure_turn_of_gravity(recording: Recording, feet: Feet, f: Array, w: Array) -> float:
     """Return the mean square of `du/dt + w x u`, of the vertical u in axes of the base."""
     v, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
-    if known.size > rate:
-        v = np.stack([np.interp(np.arange(len(v)), known, x) for x in v[known].T], axis=1)
-        f = f - np.gradient(v, 1.0 / rate, axis=0)
-    u = select_slow_part(f, TURN, rate)
-    slow = select_slow_part(w, TURN, rate)
-    return float(np.mean((np.gradient(u, 1.0 / rate, axis=0) + np.cross(slow, u)) ** 2))
+    t = recording.t
+    if known.size > recording.rate:
+        v = np.stack([np.interp(t, t[known], x) for x in v[known].T], axis=1)
+        f = f - np.gradient(v, t, axis=0)
+    u = select_slow_part(f, TURN, recording.rate)
+    slow = select_slow_part(w, TURN, recording.rate)
+    return float(np.mean((np.gradient(u, t, axis=0) + np.cross(slow, u)) ** 2))
 
 
 def refuse_heading(
@@ -376,7 +377,7 @@ def refuse_heading(
         M = rotation_z(0.5 * np.pi * quarters)
         own = w @ M.T
         turned = R @ M.T
-        moved, _ = estimate_base_velocity(turned, f @ M.T, feet, own, recording.rate, gravity)
+        moved, _ = estimate_base_velocity(recording, turned, f @ M.T, feet, own, gravity)
         return own, turned, moved
 
     quarters = find_better_reading(off, (w, R, v), ((k, turn(k)) for k in (1, 2, 3)))

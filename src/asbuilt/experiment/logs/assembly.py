@@ -15,7 +15,12 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import sign_by_command
 from asbuilt.experiment.command.torque import drive_as_stated
 from asbuilt.experiment.logs.columns.layout import Layout
-from asbuilt.experiment.logs.columns.roles import parse_file_quantity, recognise
+from asbuilt.experiment.logs.columns.roles import (
+    find_nanoseconds,
+    parse_file_quantity,
+    recognise,
+    split_unit,
+)
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.reading_options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -49,21 +54,25 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
                 file=key,
             )
         parts[quantity] = table
-    clocks = {
-        quantity: next((name for name in table.columns if _is_shared(name, "time")), "")
-        for quantity, table in parts.items()
+    clocks = {quantity: _find_clock(table) for quantity, table in parts.items()}
+    times = {
+        quantity: _read_clock(parts[quantity], clock) for quantity, clock in clocks.items() if clock
     }
-    rows, notes = _match_rows(parts, clocks)
+    rows, notes = _match_rows(parts, times)
+    if times:
+        first = next(iter(times))
+        columns = {name: parts[first].columns[name][rows[first]] for name in clocks[first]}
     for quantity, table in parts.items():
         for name, values in table.columns.items():
-            if name == clocks[quantity]:
-                columns.setdefault("time", values[rows[quantity]])
-            elif _is_shared(name, quantity):
+            if name in clocks[quantity] or _is_clock(name):
+                continue
+            role = recognise(name)
+            if role is not None and role.quantity == quantity and not role.joint:
                 columns[name] = values[rows[quantity]]
             else:
-                role = recognise(name)
-                joint = name if role is None or role.quantity == "time" else role.joint or name
                 columns[f"{quantity}/{name}"] = values[rows[quantity]]
+                bare = split_unit(name, quantity)[0]
+                joint = bare if role is None else role.joint or bare
                 known[f"{quantity}/{name}"] = (quantity, joint)
     return LogTable(
         source=", ".join(table.source for table in parts.values()),
@@ -73,18 +82,33 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
     )
 
 
-def _is_shared(name: str, quantity: str) -> bool:
-    """Return whether the name of a column gives a quantity, and no joint."""
+def _is_clock(name: str) -> bool:
     role = recognise(name)
-    return role is not None and role.quantity == quantity and not role.joint
+    return role is not None and role.quantity == "time" and not role.joint
+
+
+def _find_clock(table: LogTable) -> tuple[str, ...]:
+    """Return the column of a table's clock, with that of its nanoseconds if it counts seconds."""
+    clock = next((name for name in table.columns if _is_clock(name)), None)
+    if clock is None:
+        return ()
+    nanoseconds = find_nanoseconds(clock, list(table.columns))
+    return (clock,) if nanoseconds is None else (clock, nanoseconds)
+
+
+def _read_clock(table: LogTable, clock: tuple[str, ...]) -> Array:
+    """Return the times [s] of a clock and its nanoseconds."""
+    stamps, *nanoseconds = (table.columns[name] for name in clock)
+    role = recognise(clock[0])
+    seconds = stamps * (1.0 if role is None else role.scale)
+    return seconds + 1e-9 * nanoseconds[0] if nanoseconds else seconds
 
 
 def _match_rows(
-    parts: Mapping[str, LogTable], clocks: Mapping[str, str]
+    parts: Mapping[str, LogTable], times: Mapping[str, Array]
 ) -> tuple[dict[str, NDArray[np.intp] | slice], tuple[str, ...]]:
     """Return the rows of each file that are of the same times, and notes."""
     lengths = {table.source: table.n_samples for table in parts.values()}
-    times = {name: parts[name].columns[clock] for name, clock in clocks.items() if clock}
     first = next(iter(times.values()), np.zeros(0))
     alike = all(np.array_equal(t, first, equal_nan=True) for t in times.values())
     if alike and len(set(lengths.values())) == 1:

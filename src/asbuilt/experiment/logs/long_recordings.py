@@ -81,9 +81,12 @@ def stream_recording(
         return
     try:
         layout = find_table_layout(stream.header, sheet, model, chosen)
+        lacks_values = layout.by_values
     except RecordingError:
         # By the first rows of all numeric columns an error drafts a sheet.
-        layout = find_table_layout(stream.read_first(2000), sheet, model, chosen)
+        lacks_values = True
+    if lacks_values:
+        layout = find_table_layout(stream.read_first(CHUNK), sheet, model, chosen)
     quantities = {name: layout.quantities[name] for name in QUANTITIES if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
@@ -92,6 +95,8 @@ def stream_recording(
     mender = LogMender(layout, sheet.zero)
     for first, columns in stream.chunks(layout.columns, chunk_samples):
         table = mender.mend(replace(stream.header, columns=columns))
+        if not table.n_samples:
+            continue
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(
             replace(chunk, notes=(*notes, *table.notes, *chunk.notes)), sheet, chosen

@@ -43,6 +43,8 @@ MOST = 1e12
 of a type, 3.4e38 or 1.8e308, where a sensor says nothing."""
 LATEST = 1e20
 """Largest time stamp, in any unit: nanoseconds since 1970 have 19 digits."""
+FEWEST_ROWS = 3
+"""Rows by which a part of a log may be judged."""
 ZERO = 0.02
 """Distance from one turn, relative to it, up to which the range of a counter is a turn."""
 
@@ -97,34 +99,72 @@ class LogMender:
         self._latest: float | None = None
         self._began: float | None = None
         self._step: float | None = None
+        self._until = 0.0
+        self._rounded = 0.0
         self._mended: dict[str, Mended] = {}
         # Rows so far: without those of other topics, and all.
         self._rows = [0, 0]
 
     def mend(self, table: LogTable) -> LogTable:
         """Return a table with rows of one topic, in the order of time, and steady counters."""
-        if table.n_samples < 3:
-            return replace(table, notes=(*table.notes, *self._list_notes()))
+        mended: list[Mended] = []
+        kept = table
+        if table.n_samples >= FEWEST_ROWS:
+            kept, mended = self._mend_rows(table)
+        elif self._step is not None:
+            kept = self._continue_clock(table)
+        columns = dict(kept.columns)
+        # Fewer rows say nothing by themselves: for them holds what the parts before have said.
+        if any(self._rows):
+            mended += self._sign(columns)
+            self._unwrap(columns)
+        for part in mended:
+            first = self._mended.setdefault(part.kind, replace(part, count=0))
+            self._mended[part.kind] = replace(first, count=first.count + part.count)
+        return replace(kept, columns=columns, notes=(*table.notes, *self._list_notes()))
+
+    def _mend_rows(self, table: LogTable) -> tuple[LogTable, list[Mended]]:
+        """Return the rows of one topic in the order of time, and what was mended."""
         table, of_values = self._leave_absurd_values(table)
         joined, of_rows = join_topics(table, self._layout)
         if self._began is None and self._layout.time is not None and joined.n_samples:
             self._began = float(joined.columns[self._layout.time][0])
         later = self._leave_late_rows(joined)
         self._rows = [self._rows[0] + joined.n_samples, self._rows[1] + table.n_samples]
+        if self._step is not None and np.unique(_read_stamps(later, self._layout)).size == 1:
+            return self._continue_clock(later), [*of_values, *of_rows]
         ordered, of_clock = mend_clock(later, self._layout, self._began, self._step)
         if of_clock:
-            times = ordered.columns[str(self._layout.time)]
-            self._latest = float(times[-1])
+            stamps = _read_stamps(ordered, self._layout)
+            self._latest = float(stamps[-1])
             if of_clock[0].kind == "grid":
                 self._latest = None
-                scale = self._layout.scales.get(str(self._layout.time), 1.0)
-                self._step = scale * float(times[-1] - times[0]) / (times.size - 1)
-        columns = dict(ordered.columns)
-        for part in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
-            first = self._mended.setdefault(part.kind, replace(part, count=0))
-            self._mended[part.kind] = replace(first, count=first.count + part.count)
-        self._unwrap(columns)
-        return replace(ordered, columns=columns, notes=(*table.notes, *self._list_notes()))
+                self._until = float(stamps[-1])
+                self._rounded = float(np.ptp(_read_stamps(later, self._layout) - stamps))
+                self._step = self._scale * float(stamps[-1] - stamps[0]) / (stamps.size - 1)
+        return ordered, [*of_values, *of_rows, *of_clock]
+
+    @property
+    def _scale(self) -> float:
+        """Seconds of a unit of the clock."""
+        return self._layout.scales.get(str(self._layout.time), 1.0)
+
+    def _continue_clock(self, table: LogTable) -> LogTable:
+        """Return rows whose few stamps are rounded at the clock behind those of the part before."""
+        stamps = _read_stamps(table, self._layout)
+        if _is_dated(stamps[0] * self._scale):
+            stamps = stamps - (self._began or 0.0)
+        step = (self._step or 0.0) / self._scale
+        begin = self._until + step
+        if stamps[0] > begin + self._rounded:  # there is a gap between the parts
+            begin = float(stamps[0])
+        times = begin + step * np.arange(stamps.size, dtype=np.float64)
+        self._until = float(times[-1])
+        columns = dict(table.columns)
+        columns[str(self._layout.time)] = times
+        if self._layout.nanoseconds is not None:
+            columns[self._layout.nanoseconds] = np.zeros(stamps.size)
+        return replace(table, columns=columns)
 
     def _list_notes(self) -> Iterator[str]:
         """Yield what was mended so far."""
@@ -170,7 +210,7 @@ class LogMender:
         """Return a part without rows that belong into the part before, where that was sorted."""
         if self._latest is None:
             return table
-        later = table.columns[str(self._layout.time)] > self._latest
+        later = _read_stamps(table, self._layout) > self._latest
         columns = {name: values[later] for name, values in table.columns.items()}
         return replace(table, columns=columns) if later.sum() > 2 else table
 
@@ -371,6 +411,14 @@ def mend_clock(
     return replace(table, columns={k: v[kept] for k, v in table.columns.items()}), notes
 
 
+def _read_stamps(table: LogTable, layout: Layout) -> Array:
+    """Return the time stamps in the unit of their column, with nanoseconds of whole seconds."""
+    stamps = table.columns[str(layout.time)]
+    if layout.nanoseconds is None:
+        return stamps
+    return np.asarray(stamps + 1e-9 * table.columns[layout.nanoseconds])
+
+
 def _read_clock(table: LogTable, layout: Layout) -> Array:
     """Return the times [s] from the first one on."""
     t = table.columns[str(layout.time)]
@@ -443,12 +491,17 @@ def _with_clock(
     first = table.columns[time][0]
     scale = layout.scales.get(time, 1.0)
     columns = {**table.columns, time: first + grid / scale}
-    if abs(first) * scale > 1e6:
+    if _is_dated(first * scale):
         # A date has no digits left for steps: times count from the beginning of the log.
         columns[time] = (first - (first if began is None else began)) + grid / scale
     if layout.nanoseconds is not None:
         columns[layout.nanoseconds] = np.zeros_like(grid)
     return replace(table, columns=columns), [note]
+
+
+def _is_dated(seconds: float) -> bool:
+    """Return whether a clock counts from a date, not from the beginning of a log."""
+    return abs(seconds) > 1e6
 
 
 def _is_unsigned(values: Array, bits: int) -> bool:

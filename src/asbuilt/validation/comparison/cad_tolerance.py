@@ -151,7 +151,7 @@ def check_tolerance(
 
     def degrees_of(whole: Array) -> Array:
         own = np.diag(sampled)
-        known = np.diag(whole) - np.diag(sampled)
+        known = np.diag(whole) - own
         # Tolerances are known, so that they have no end of freedom.
         return sum_degrees((own, freedom), (known, np.full(len(d), np.inf)))
 
@@ -160,8 +160,9 @@ def check_tolerance(
         return chi_square(d, whole, mean_degrees(degrees_of(whole)))
 
     held = together(1.0)
-    of_each = degrees_of(claimed(1.0))
-    error = np.sqrt(np.diag(claimed(1.0)))
+    whole = claimed(1.0)
+    of_each = degrees_of(whole)
+    error = np.sqrt(np.diag(whole))
     exceeded = (
         benjamini_hochberg(student_probability(d / (error * widening(of_each)), of_each)) <= level
     )
@@ -172,8 +173,7 @@ def check_tolerance(
 
 
 def _find_widening(excess: Callable[[float], float]) -> float | None:
-    # Where even the widest does not cover there is no factor.
-    """Return the factor from 1 to `WIDEST` at which the excess is zero, or None."""
+    """Return the factor from 1 to `WIDEST` at which the excess is zero; None where none covers."""
     from scipy.optimize import brentq  # noqa: PLC0415 - light start
 
     return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None

@@ -27,6 +27,7 @@ from asbuilt.tables import (
 )
 from asbuilt.validation.comparison.significance import RESOLUTION
 from asbuilt.validation.comparison.torque_change import MATTERS, evaluate_torque_cost
+from asbuilt.validation.prediction import name_torque_unit
 
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 
@@ -94,6 +95,13 @@ class ComparedParameter(ParameterTest):
             return None
         return self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error
 
+    @property
+    def outcome(self) -> str:
+        """The verdict, or the standard errors by which a parameter that agrees is off."""
+        # Agreement is said by its distance: no verdict hides a near miss.
+        shown = {"differs": "DIFFERS", "agrees": format_deviation(self.sigmas, np.inf)}
+        return shown.get(self.verdict, self.verdict)
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts, ready for JSON."""
         return dict(make_plain(self)) | {"interval": make_plain(self.interval)}
@@ -132,7 +140,7 @@ def list_tests(
     cost = evaluate_torque_cost(result.cause_data, base, whole)
     left = result.cause_data.error_of(base.names, result.estimates)
     alone = cost.noticed(left, alone=True)
-    for k in np.flatnonzero(np.isfinite(difference)):
+    for k in np.flatnonzero(np.isfinite(difference)).tolist():
         j = places[k]
         fields[k] |= {
             "torque": tuple(cost.torque[j].tolist()),
@@ -148,14 +156,6 @@ def _show_std_error(parameter: ComparedParameter) -> Cell:
     if parameter.verdict == "dropped":
         return Shown(parameter.std_error, DROPPED)
     return format_estimate(parameter.estimate, parameter.std_error)[1]
-
-
-def _show_outcome(parameter: ComparedParameter) -> Cell:
-    """Return the verdict, or the standard errors by which a parameter that agrees is off."""
-    agreeing = format_deviation(parameter.sigmas, np.inf)
-    # Agreement is said by its distance: no verdict hides a near miss.
-    outcome = {"differs": "DIFFERS", "agrees": agreeing}.get(parameter.verdict, parameter.verdict)
-    return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
 
 
 NAMES = (
@@ -181,7 +181,11 @@ COLUMNS = (
     Column(
         "%", align="decimal", detail=True, of=lambda p: format_estimate(p.estimate, p.std_error)[2]
     ),
-    Column("vs CAD", align="right", of=_show_outcome),
+    Column(
+        "vs CAD",
+        align="right",
+        of=lambda p: p.outcome if p.sigmas is None else Shown(p.sigmas, p.outcome),
+    ),
 )
 TORQUE_COLUMNS = (
     Column(
@@ -203,8 +207,8 @@ def tabulate_parameters(
     parameters: Sequence[ComparedParameter],
     *,
     level: float,
-    errors: str = "",
-    units: Sequence[str] = (),
+    errors: str,
+    units: Sequence[str],
 ) -> Table:
     """Return the table of compared parameters; its short text has the ten that matter most."""
     columns: tuple[Column, ...] = COLUMNS
@@ -244,8 +248,7 @@ def tabulate_parameters(
 
 def make_torque_column(units: Sequence[str]) -> Column:
     """Return the column of the torque of differences, for joints with these torque units."""
-    unit = "N m" if set(units) <= {"N m"} else "N m, N"
-    return Column("torque", unit, "decimal", 3, of="torque_total")
+    return Column("torque", name_torque_unit(units), "decimal", 3, of="torque_total")
 
 
 def rank_by_torque(parameters: Sequence[Tested]) -> tuple[Tested, ...]:

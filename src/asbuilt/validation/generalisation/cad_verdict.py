@@ -143,33 +143,22 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     unknown = np.append(~stated, not stated[seen].any())
     sigmas = np.where(unknown, np.nan, sigmas)
     p = np.where(unknown, 1.0, p)
+    rms_cad = np.sqrt(scale)
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
-    joints = tuple(
-        _make_verdict(
-            name, unit, float(np.sqrt(scale[k])), float(relative[k] * np.sqrt(scale[k])), *one
-        )
-        for k, (name, unit, *one) in enumerate(
-            zip(
-                validation.joint_names,
-                validation.units,
-                sigmas[:-1].tolist(),
-                p[:-1].tolist(),
-                holm(p[:-1]).tolist(),
-                strict=True,
-            )
-        )
-    )
-    whole = _make_verdict(
-        "all",
-        "of CAD's",
-        1.0,
-        float(np.sqrt(np.mean(relative[tested] ** 2))),
+    rows = zip(
+        (*validation.joint_names, "all"),
+        (*validation.units, "of CAD's"),
+        np.append(rms_cad, 1.0).tolist(),
+        np.append(relative * rms_cad, np.sqrt(np.mean(relative[tested] ** 2))).tolist(),
+        sigmas.tolist(),
+        p.tolist(),
         # The whole is one test, to which Holm adds nothing.
-        sigmas[-1],
-        p[-1],
-        p[-1],
+        np.append(holm(p[:-1]), p[-1]).tolist(),
+        strict=True,
     )
-    return PredictionVerdict(recording_name(validation.source), int(block[-1]) + 1, whole, joints)
+    *joints, whole = (_make_verdict(*row) for row in rows)
+    source = recording_name(validation.source)
+    return PredictionVerdict(source, int(block[-1]) + 1, whole, tuple(joints))
 
 
 def report_cad_verdicts(validations: Sequence[Validation]) -> tuple[Finding, ...]:
@@ -234,7 +223,7 @@ def _make_verdict(
     outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
     if not known:
         return JointComparison(joint, unit, cad, built, None, None, None, outcome)
-    return JointComparison(joint, unit, cad, built, float(sigmas), float(p), float(strict), outcome)
+    return JointComparison(joint, unit, cad, built, sigmas, p, strict, outcome)
 
 
 def _word_joint(joint: JointComparison) -> str:

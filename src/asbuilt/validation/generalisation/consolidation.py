@@ -82,16 +82,13 @@ def consolidate_findings(
         which has none of its own.
     """
     merged = _merge_findings(findings)
-    present = {
-        merged_finding.code for merged_finding in merged if merged_finding.severity != "info"
-    }
+    present = {finding.code for finding in merged if finding.severity != "info"}
     # What is explained by another warning is good to know, and no alarm.
     kept_findings = [
-        replace(merged_finding, severity="info")
-        if merged_finding.severity == "warning"
-        and present.intersection(EXPLAINED.get(merged_finding.code, ()))
-        else merged_finding
-        for merged_finding in (_add_torque(each, shares) for each in merged)
+        replace(finding, severity="info")
+        if finding.severity == "warning" and present.intersection(EXPLAINED.get(finding.code, ()))
+        else finding
+        for finding in (_add_torque(finding, shares) for finding in merged)
     ]
     return tuple(sorted(kept_findings, key=_rank_finding))
 

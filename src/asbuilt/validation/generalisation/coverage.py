@@ -138,7 +138,7 @@ def repeats(one: Samples, other: Samples) -> bool:
 
 def _find_extremes(samples: Sequence[Samples]) -> tuple[Array, Array]:
     """Return the least and greatest of all positions and velocities, (2 n,) each."""
-    states = [(each, span) for each in samples for span in each.spans()]
+    states = [(recording, span) for recording in samples for span in recording.spans()]
     # Span by span: states of a long recording are many.
     least, greatest = (
         np.array([np.append(end(s.q[span], axis=0), end(s.qd[span], axis=0)) for s, span in states])

@@ -14,7 +14,6 @@ from asbuilt.arrays import Array
 from asbuilt.description import RobotModel
 from asbuilt.dynamics import parameter_values
 from asbuilt.dynamics.parameters import parameter_names
-from asbuilt.findings import Finding
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.uncertainty.block_scatter import student_probability
 from asbuilt.validation.prediction import Validation
@@ -182,8 +181,3 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
             f" {claim.unit}"
         ),
     )
-
-
-def select_control_findings(findings: Sequence[Finding]) -> list[Finding]:
-    """Return the findings on gains, without which verdicts cannot be read."""
-    return [finding for finding in findings if finding.code.startswith("servo_")]

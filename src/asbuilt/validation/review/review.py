@@ -10,7 +10,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
-from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.findings import Finding
 from asbuilt.identification.result.result import IdentificationResult
@@ -34,7 +33,6 @@ from asbuilt.validation.review.control_claims import (
     derive_scale_errors,
     list_gain_aliases,
     review_gains,
-    select_control_findings,
 )
 
 ORDER: tuple[ClaimStatus, ...] = ("contradicted", "supported", "undetermined")
@@ -69,8 +67,6 @@ class Review:
     misfit
         Root mean square of what no plausible numbers explain, in standard errors; errors are
         widened by it.
-    level
-        False discovery rate at which a number is contradicted.
     sources
         The recordings.
     findings
@@ -83,7 +79,6 @@ class Review:
     claims: tuple[Claim, ...]
     tolerance: CadTolerance
     misfit: float
-    level: float
     sources: tuple[str, ...]
     findings: tuple[Finding, ...]
     result: IdentificationResult
@@ -109,13 +104,13 @@ class Review:
         By the values, thresholds and tests of `compare`: a log can contradict a sum without
         determining which of its numbers is wrong.
         """
-        sums = compare(self.result, level=self.level)
+        sums = compare(self.result)
         return sums.n_differing, sums.n_compared
 
-    @cached_property
+    @property
     def first_findings(self) -> list[Finding]:
-        """The findings without which the verdicts cannot be read."""
-        return select_control_findings(self.findings)
+        """The findings on gains, without which the verdicts cannot be read."""
+        return [finding for finding in self.findings if finding.code.startswith("servo_")]
 
     def count(self, verdict: ClaimStatus) -> int:
         """Return the number of claims with a verdict."""
@@ -135,11 +130,9 @@ class Review:
 def review_result(
     result: IdentificationResult,
     *,
-    described: RobotModel | None = None,
     peaks: Array | None = None,
     motions: Sequence[Validation] = (),
     tolerance: CadTolerance = PLAUSIBLE,
-    level: float = FALSE_DISCOVERY_RATE,
     findings: Sequence[Finding] = (),
 ) -> Review:
     """Judge the numbers of the description that a result was identified with.
@@ -148,16 +141,12 @@ def review_result(
     ----------
     result
         The result; its values by weighted least squares are used, which nothing pulls to CAD.
-    described
-        The robot with its claims; None: the robot of the result.
     peaks
         Largest torque that the drive of each joint was asked for (n,), for torque limits.
     motions
         Torques asked for and as built, which show torque limits.
     tolerance
         What is plausible for masses, centres and inertias while another number is tested.
-    level
-        False discovery rate up to which a number is contradicted.
     findings
         What the identification found.
 
@@ -166,7 +155,7 @@ def review_result(
     Review
         A verdict on every number.
     """
-    model = described or result.model
+    model = result.model
     base = result.base
     numbers = list_claimed_numbers(model, base.drive, tolerance)
     scale = derive_scale_errors(result)
@@ -202,10 +191,9 @@ def review_result(
     claims += review_gains(result, model, claims, peaks, motions)
     return Review(
         result.robot,
-        tuple(sorted(_limit_false_discoveries(claims, level), key=_rank_claim)),
+        tuple(sorted(_limit_false_discoveries(claims), key=_rank_claim)),
         tolerance,
         profile.misfit,
-        level,
         result.sources,
         tuple(findings),
         result,
@@ -277,15 +265,15 @@ def _measure_torque_change(result: IdentificationResult, change: Array) -> float
     return float(np.sqrt(sum(float(row @ row) for row in rows) / data.n_fitted))
 
 
-def _limit_false_discoveries(claims: Sequence[Claim], level: float) -> list[Claim]:
-    """Return the claims with those contradicted that are so at a false discovery rate."""
+def _limit_false_discoveries(claims: Sequence[Claim]) -> list[Claim]:
+    """Return the claims with those contradicted that are so at the false discovery rate."""
     tested = [j for j, claim in enumerate(claims) if claim.p_value is not None]
     found = list(claims)
     discovery = benjamini_hochberg([claims[j].p_value or 0.0 for j in tested])
     for j, rate in zip(tested, discovery.tolist(), strict=True):
         # Within a tenth nothing is contradicted, however small the error.
         claim = replace(claims[j], false_discovery=rate)
-        if not claim.alike and rate <= level:
+        if not claim.alike and rate <= FALSE_DISCOVERY_RATE:
             # Neither contradicted among many tests, nor supported by itself.
             claim = replace(claim, verdict="contradicted")
         elif not claim.alike and (claim.p_value or 0.0) <= DOUBTFUL:

@@ -117,12 +117,12 @@ class RecordingErrors:
         return {
             "source": self.source,
             "n_windows": self.n_windows,
-            **{name: error and error.as_dict() for name, error in self.errors().items()},
+            **{
+                name: errors and errors.as_dict()
+                for name in BY_RECORDING
+                for errors in (getattr(self, name),)
+            },
         }
-
-    def errors(self) -> dict[str, RolloutErrors | None]:
-        """Return the errors by name."""
-        return {name: getattr(self, name) for name in BY_RECORDING}
 
 
 BY_RECORDING = ("cad", "as_built", "no_physics", "regular")
@@ -194,7 +194,7 @@ def measure_rollout_errors(
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     free = model.driven_joints.start
-    ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
+    ends = [np.concatenate([x[:, -1] for x in paths]) for paths in (measured, simulated)]
     return RolloutErrors(
         *_evaluate_rms(error, free),
         np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),
@@ -262,13 +262,14 @@ def find_outlying_windows(
         return (), []
     size = [np.sqrt(np.mean(error**2, axis=1)) for error in errors]
     every = np.concatenate(size)
-    # Few windows have no usual error.
-    limit = OUTLYING * float(np.nanmedian(every)) if len(every) >= FEWEST else np.inf
+    known = every[np.isfinite(every)]
+    # Few windows have no usual error, nor have windows that all diverged.
+    limit = OUTLYING * float(np.median(known)) if len(every) >= FEWEST and len(known) else np.inf
     found = list[OutlyingWindow]()
     regular = list[Indices]()
     for cut, error, window_errors in zip(windows, errors, size, strict=True):
-        # NaN of a window that diverged is not usual, unless there are too few to say what is.
-        usual = (window_errors <= limit) | (not np.isfinite(limit))
+        # NaN of a window that diverged is not usual, unless nothing says what is.
+        usual = (window_errors <= limit) | np.isinf(limit)
         regular.append(np.flatnonzero(usual))
         found += [
             OutlyingWindow(

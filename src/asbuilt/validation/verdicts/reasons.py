@@ -213,7 +213,7 @@ def decide_joints(
     metrics = [
         validation.metrics_exported or validation.metrics_as_built for validation in validations
     ]
-    metrics = metrics or [each for each in result.validation if each.source not in loaded]
+    metrics = metrics or [known for known in result.validation if known.source not in loaded]
     metrics = metrics or [result.train]
     counts = np.array([[metric.n_samples] for metric in metrics])
     rms = np.array([metric.rms for metric in metrics])
@@ -365,7 +365,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
         return
     off = []
     for link, mass, *stated in zip(links, masses, *readings, strict=True):
-        cad = min(stated, key=lambda each: abs(each - mass))
+        cad = min(stated, key=lambda reading: abs(reading - mass))
         # A light link may be far from CAD without harm.
         is_heavier = abs(mass - cad) > HEAVIER * total
         if link.has_mass and not 1.0 / FAR <= mass / cad <= FAR and is_heavier:

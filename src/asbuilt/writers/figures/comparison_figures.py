@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from asbuilt.identification.effects.effect import name_group
 from asbuilt.tables import round_significant
 from asbuilt.validation import Attribution, Claim, Comparison, Drift, Review
+from asbuilt.validation.prediction import name_torque_unit
 from asbuilt.writers.figures.figure_style import (
     AS_BUILT,
     BLUE,
@@ -131,22 +132,27 @@ def draw_differences(comparison: Comparison) -> Figure:
     )
     # Most parameters in the figure.
     shown = [
-        each
-        for each in comparison.ranked
-        if each.torque_total and each.torque_total >= 0.02 * largest
+        parameter
+        for parameter in comparison.ranked
+        if parameter.torque_total and parameter.torque_total >= 0.02 * largest
     ][:20]
     place = np.arange(len(shown))
-    total = np.array([each.torque_total or 0.0 for each in shown])
-    own = [each.torque_own or 0.0 for each in shown]
-    colours = [AS_BUILT if each.verdict == "differs" else GREY for each in shown]
+    total = np.array([parameter.torque_total or 0.0 for parameter in shown])
+    own = [parameter.torque_own or 0.0 for parameter in shown]
+    colours = [AS_BUILT if parameter.verdict == "differs" else GREY for parameter in shown]
     title = f"{comparison.robot}: differences from CAD and their torque"
+    unit = name_torque_unit(comparison.units)
     with open_figure(7.6, 0.24 * max(len(shown), 1) + 1.2, title) as (figure, (axis,)):
         axis.barh(place, total, height=0.7, color=colours, alpha=0.35)
         axis.barh(place, own, height=0.7, color=colours)
-        for k, each in enumerate(shown):
-            felt = "" if each.felt_at is None else f"joint {each.felt_at}"
-            shared = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else ""
-            remark = shared or ("" if each.matters else ", small")
+        for k, parameter in enumerate(shown):
+            felt = "" if parameter.felt_at is None else f"joint {parameter.felt_at}"
+            shared = (
+                f", shared with {' and '.join(parameter.shared_with)}"
+                if parameter.shared_with
+                else ""
+            )
+            remark = shared or ("" if parameter.matters else ", small")
             axis.text(
                 total[k] + 0.01 * total.max(),
                 k,
@@ -155,9 +161,11 @@ def draw_differences(comparison: Comparison) -> Figure:
                 fontsize=7,
                 color=QUIET,
             )
-        axis.set_yticks(place, [f"{each.name}  ({each.words})" for each in shown], fontsize=7)
+        axis.set_yticks(
+            place, [f"{parameter.name}  ({parameter.words})" for parameter in shown], fontsize=7
+        )
         axis.set(
-            xlabel="torque of the difference, RMS over all joints [N m]",
+            xlabel=f"torque of the difference, RMS over all joints [{unit}]",
             xlim=(0, 1.22 * float(total.max(initial=1e-12))),
             ylim=(len(shown) - 0.4, -0.6),
         )
@@ -179,7 +187,7 @@ def draw_drift(drift: Drift) -> Figure:
     torque = np.array([joint.torque for joint in joints])
     by_chance = np.array([joint.by_chance for joint in joints])
     longest = max(torque.max(initial=0.0), by_chance.max(initial=0.0)) or 1.0
-    units = ", ".join(sorted({joint.unit for joint in joints}, reverse=True))
+    units = name_torque_unit(joint.unit for joint in joints)
     title = f"{drift.robot}: {change} of torque, and what standard errors explain"
     with open_figure(7.6, 0.46 * len(joints) + 1.3, title) as (figure, (axis,)):
         for label, shift, height, colour, lengths, shown in (

@@ -158,5 +158,5 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
     worst = int(np.argmax(apart))
     return apart, (
         f"read back, the torque of {model.joint_names[worst]} differs by up to"
-        f" {apart[worst]:.2g} N m",
+        f" {apart[worst]:.2g} {model.joints[worst].torque_unit}",
     )

@@ -30,7 +30,6 @@ from asbuilt.writers.models.as_built import (
 from asbuilt.writers.models.c.c_code import CCode, write_c
 from asbuilt.writers.models.control import note_missing_gains
 from asbuilt.writers.models.mjcf import (
-    STIFF_FRICTION,
     describe_rotors,
     mjcf_holds,
     write_mjcf,
@@ -239,7 +238,7 @@ def export_result(
     if urdf is not None:
         edited, missing = find_urdf_to_edit(result.model, original)
         lost["urdf"] = nearest_terms = find_nearest_terms(
-            result, built, in_simulators, urdf_holds, ("viscous", "coulomb"), gravity=False
+            result, built, in_simulators, urdf_holds, gravity=False
         )
         told = nearest_terms.notes("URDF", "C code and the robot file hold everything")
         files["urdf"], remarks = write_urdf(
@@ -247,9 +246,7 @@ def export_result(
         )
         notes["urdf"] = (*missing, *told, *remarks, *kept, *note_missing_gains(result, "urdf"))
     if mjcf is not None:
-        lost["mjcf"] = nearest_terms = find_nearest_terms(
-            result, built, in_simulators, mjcf_holds, ("viscous", "coulomb", "offset")
-        )
+        lost["mjcf"] = nearest_terms = find_nearest_terms(result, built, in_simulators, mjcf_holds)
         passive, told = _write_passive(mjcf, in_simulators, nearest_terms, elastic=elastic)
         files |= passive
         files["mjcf"], remarks = write_mjcf(
@@ -297,7 +294,7 @@ def _write_passive(
         return {}, nearest.notes("MJCF", "C code and the robot file hold them")
     place = Path(mjcf)
     path = place.with_name(re.sub(r"\W", "_", place.stem) + "_passive.py")
-    written = write_passive(path, robot, nearest.replaced, mjcf, STIFF_FRICTION)
+    written = write_passive(path, robot, nearest.replaced, mjcf)
     return {"mjcf_passive": written}, nearest.notes(
         "MJCF", f"{written.name} beside it adds them to MuJoCo: {written.stem}.attach(model)"
     )

@@ -325,12 +325,10 @@ def write_passive(
     robot: RobotModel,
     replaced: Mapping[str, Sequence[str]],
     mjcf: str | os.PathLike[str],
-    friction: Mapping[str, str],
 ) -> Path:
     """Write the terms `replaced` of a robot in the file `mjcf`, whose joints have the drives.
 
-    `robot` has the terms and its plain ones as identified; `friction` are the attributes of dry
-    friction that the file writes.
+    `robot` has the terms and its plain ones as identified.
     """
     named = {name for names in replaced.values() for name in names}
     joints = [joint for joint in robot.joints if joint.name in named]
@@ -350,8 +348,8 @@ def write_passive(
         friction=_write_list([joint.drive.coulomb or 0.0 for joint in joints]),
         bias=_write_list([-(joint.drive.offset or 0.0) for joint in joints]),
         lines="\n".join(f"        {line}" for line in lines),
-        solref=", ".join(friction["solreffriction"].split()).join("[]"),
-        solimp=", ".join(friction["solimpfriction"].split()).join("[]"),
+        solref=", ".join(STIFF_FRICTION["solreffriction"].split()).join("[]"),
+        solimp=", ".join(STIFF_FRICTION["solimpfriction"].split()).join("[]"),
     )
     return atomic_write(path, text)
 
@@ -366,8 +364,10 @@ def _write_term(term: DriveTerm, joints: Sequence[Joint]) -> Iterator[str]:
     """Yield a statement for each column of a term; columns that oppose motion are friction."""
     having = [joint.drive.terms.get(term.key, {}) for joint in joints]
     named = {
-        each.name: _write_array([numbers.get(each.name, each.default) for numbers in having])
-        for each in term.nonlinear
+        parameter.name: _write_array(
+            [numbers.get(parameter.name, parameter.default) for numbers in having]
+        )
+        for parameter in term.nonlinear
     }
     for symbol, column in zip(term.symbols, term.columns, strict=True):
         values = [numbers.get(symbol, 0.0) for numbers in having]

@@ -108,14 +108,13 @@ def find_nearest_terms(
     built: AsBuilt,
     robot: RobotModel,
     holds: Holds,
-    fitted: tuple[str, ...],
     *,
     gravity: bool = True,
 ) -> NearestTerms:
     """Return the drives of a format that are nearest in torque to those of a result.
 
     `robot`, the one to write, has the drives of `built` and may have further ones as described.
-    Terms that the format lacks give way to changes of its plain terms `fitted`, by least squares
+    Terms that the format lacks give way to changes of the plain terms that it has, by least squares
     over the recordings with friction that is not negative. Without `gravity` the format has the
     usual one: what a tilted robot then lacks counts as lost.
     """
@@ -133,11 +132,12 @@ def find_nearest_terms(
             if key not in PLAIN_TERMS and not holds(key, numbers)
         ]
         left_out, missing = _list_missing(drive, k, values[k], joint, holds, rich)
-        changes = _fit(rows[k].drive @ missing, rows[k].plain, joint.drive, fitted)
+        plain = {key: column for key, column in rows[k].plain.items() if holds(key, {})}
+        changes = _fit(rows[k].drive @ missing, plain, joint.drive)
         lost = rows[k].drive @ left_out
         squares[1, k] = lost @ lost
         for key, change in changes.items():
-            lost = lost - change * rows[k].plain[key]
+            lost = lost - change * plain[key]
         squares[0, k] = lost @ lost
         squares[2, k] = rows[k].torque @ rows[k].torque
         joints.append(_replace_terms(joint, changes, rich if changes else []))
@@ -165,7 +165,7 @@ def _gather_rows(
     width = drive.columns_per_joint
     data = result.cause_data
     plain = [_find_plain(drive, k) for k in range(n)]
-    if data is None or not all("viscous" in each and "coulomb" in each for each in plain):
+    if data is None or not all("viscous" in terms and "coulomb" in terms for terms in plain):
         return _draw_rows(built, drive), STATES, "random motion"
     columns = data.places(result.base.names)
     stacked = [
@@ -227,22 +227,19 @@ def _list_missing(
     return left_out, np.where(of_rich, left_out, 0.0)
 
 
-def _fit(
-    torque: Array, plain: Mapping[str, Array], drive: DriveValues, fitted: tuple[str, ...]
-) -> dict[str, float]:
+def _fit(torque: Array, plain: Mapping[str, Array], drive: DriveValues) -> dict[str, float]:
     """Return the changes of plain terms that are nearest to a torque (N,); none for no torque."""
-    keys = [key for key in fitted if key in plain]
-    if not keys or not torque.any():
+    if not plain or not torque.any():
         return {}
     from scipy.optimize import lsq_linear  # noqa: PLC0415 - light start
 
-    columns = np.stack([plain[key] for key in keys], axis=1)
+    columns = np.stack([*plain.values()], axis=1)
     size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     friction = make_friction_plain(drive)
     # Friction that is there may be taken away, no more.
-    least = [-np.inf if key == "offset" else -(getattr(friction, key) or 0.0) for key in keys]
+    least = [-np.inf if key == "offset" else -(getattr(friction, key) or 0.0) for key in plain]
     solved = lsq_linear(columns / size, torque, (np.minimum(least, 0.0) * size, np.inf))
-    return dict(zip(keys, (solved.x / size).tolist(), strict=True))
+    return dict(zip(plain, (solved.x / size).tolist(), strict=True))
 
 
 def _replace_terms(joint: Joint, changes: Mapping[str, float], rich: list[str]) -> Joint:

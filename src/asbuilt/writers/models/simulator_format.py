@@ -81,7 +81,6 @@ class ExportedDrives:
         kind: str,
         *,
         carried: Collection[str] = (),
-        offset: bool = False,
         delay: bool = False,
         gains: bool = True,
         falling: bool = False,
@@ -97,9 +96,8 @@ class ExportedDrives:
             and key not in carried
             for key in ("asymmetric_coulomb", "smooth_coulomb")
         }
-        cases[f"{kind} has no place for the offsets of the drives [N m or N]: {listed}"] = (
-            bool(listed) and not offset
-        )
+        lost = f"{kind} has no place for the offsets of the drives [N m or N]: {listed}"
+        cases[lost] = bool(listed)
         return (
             *note_left_out_drives(self.plain, carried, kind),
             *(note for note, holds in cases.items() if holds),

@@ -123,7 +123,7 @@ def edit_urdf(
     cases = {
         "the file rounds right angles (1.5708), which asbuilt reads as exact; taken literally they"
         f" change torques by up to {literal[worst]:.2g}"
-        f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint {model.joint_names[worst]})":
+        f" {model.joints[worst].torque_unit} (joint {model.joint_names[worst]})":
         # Torque difference [N m or N] from which a note is written.
         literal[worst] > 1e-9,
         f"the joints {', '.join(held)} were locked when the robot was identified: they stay in the"

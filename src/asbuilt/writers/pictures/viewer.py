@@ -33,6 +33,8 @@ BODY_OPACITY = 0.35
 """Opacity of the bodies while something inside them is shown."""
 FRAME_RATE = 30.0
 """Poses sent per second [Hz]."""
+HOST = "127.0.0.1"
+"""Address of the page, which this computer alone can open."""
 PORTS = 20
 """Ports from the wanted one on that are tried."""
 DISTANCE = 2.7
@@ -61,7 +63,6 @@ class Viewer:
         motion: Motion | None = None,
         *,
         port: int = 8080,
-        host: str = "127.0.0.1",
     ) -> None:
         try:
             viser = import_module("viser")
@@ -71,10 +72,10 @@ class Viewer:
         self.motion = motion
         # 600: most poses in a saved page.
         self.view = MotionView.of_motion(model, motion, most=600, rate=FRAME_RATE)
-        self.port = _find_free_port(host, port)
-        with contextlib.redirect_stdout(io.StringIO()), _refuse_foreign_origins(host, self.port):
+        self.port = _find_free_port(port)
+        with contextlib.redirect_stdout(io.StringIO()), _refuse_foreign_origins(self.port):
             self.server: Any = viser.ViserServer(
-                host=host, port=self.port, label=f"asbuilt: {model.name}", verbose=False
+                host=HOST, port=self.port, label=f"asbuilt: {model.name}", verbose=False
             )
         self._links: list[Any] = []
         self._layers: dict[str, list[Any]] = {
@@ -306,7 +307,7 @@ def _convert_to_wxyz(rotation: Array) -> tuple[float, ...]:
 
 
 @contextlib.contextmanager
-def _refuse_foreign_origins(host: str, port: int) -> Iterator[None]:
+def _refuse_foreign_origins(port: int) -> Iterator[None]:
     """Have the server that is started meanwhile refuse connections from pages of other sites.
 
     viser has no such setting, so the origins are given to its web socket server. A program without
@@ -314,9 +315,7 @@ def _refuse_foreign_origins(host: str, port: int) -> Iterator[None]:
     """
     from websockets.asyncio import server  # noqa: PLC0415 - comes with viser
 
-    loopback = {"localhost", "127.0.0.1"}
-    names = loopback if host in loopback else {host}
-    origins = [None, *(f"http://{name}:{port}" for name in sorted(names))]
+    origins = [None, f"http://{HOST}:{port}", f"http://localhost:{port}"]
     serve = server.serve
     server.serve = partial(serve, origins=origins)  # type: ignore[misc, assignment, arg-type]
     try:
@@ -325,7 +324,7 @@ def _refuse_foreign_origins(host: str, port: int) -> Iterator[None]:
         server.serve = serve  # type: ignore[misc]
 
 
-def _find_free_port(host: str, port: int) -> int:
+def _find_free_port(port: int) -> int:
     """Return the first free port from `port` on."""
     if not 0 < port < 65536:
         raise UsageError(f"a port is a number from 1 to 65535, got {port}")
@@ -333,11 +332,11 @@ def _find_free_port(host: str, port: int) -> int:
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                probe.bind((host, candidate))
+                probe.bind((HOST, candidate))
             except OSError:
                 continue
             return candidate
     raise UsageError(
-        f"the ports {port} to {port + PORTS - 1} of {host} are all taken",
+        f"the ports {port} to {port + PORTS - 1} of {HOST} are all taken",
         cure=Cure("use another port", {"port": port + PORTS}),
     )

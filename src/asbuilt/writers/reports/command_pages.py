@@ -15,7 +15,7 @@ from PIL import Image
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
-from asbuilt.excitation.information.information import complete_limits
+from asbuilt.excitation.limits import complete_limits
 from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
 from asbuilt.findings import Cure
 from asbuilt.tables import format_share
@@ -210,7 +210,7 @@ def render_rollouts(
 ) -> str:
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
-    logs = sorted({recording_name(each.source) for each in longest.by_recording})
+    logs = sorted({recording_name(recording.source) for recording in longest.by_recording})
     moving = []
     if animation is not None:
         kind = f"image/{animation.suffix.lower().removeprefix('.')}"

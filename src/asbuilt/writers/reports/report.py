@@ -183,7 +183,10 @@ class Report:
                 (recording_name(validation.source), validation)
                 for validation in self.study.validations
             ),
-            *((f"{recording_name(each.source)}, training", each) for each in self.study.training),
+            *(
+                (f"{recording_name(validation.source)}, training", validation)
+                for validation in self.study.training
+            ),
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from asbuilt.tables import (
     wrap_text,
 )
 from asbuilt.validation import Claim, recording_name
+from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.significance import RESOLUTION
 from asbuilt.validation.prediction import describe_letters
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
@@ -54,11 +56,9 @@ def review_document(review: Review) -> dict[str, Any]:
         "error": review.error,
         "counts": {verdict: review.count(verdict) for verdict in ORDER},
         "base_parameters": {"contradicted": wrong, "tested": tested},
-        "false_discovery_rate": review.level,
+        "false_discovery_rate": FALSE_DISCOVERY_RATE,
         "misfit": review.misfit,
-        "plausible": {
-            name: getattr(review.tolerance, name) for name in ("mass", "centre", "inertia")
-        },
+        "plausible": asdict(review.tolerance),
         "claims": make_plain(review.claims),
         "effects": make_plain(review.result.effects),
         "warnings": list_warnings(review.findings),
@@ -140,7 +140,7 @@ def review_table(review: Review) -> Table:
         title="Claimed numbers, and estimates from the log not regularised toward them",
         notes=(
             f"CONTRADICTED: off by more than {format_share(RESOLUTION, 0)} of its size, at a false"
-            f" discovery rate of {format_share(review.level, 0)} over all numbers.",
+            f" discovery rate of {format_share(FALSE_DISCOVERY_RATE, 0)} over all numbers.",
             f"supported: standard error at most {format_share(DETERMINED, 0)} of its size, and the"
             f" difference at most {format_share(RESOLUTION, 0)} of it or by chance in"
             f" {format_share(DOUBTFUL, 0)}"
@@ -209,7 +209,7 @@ def tabulate_claims(review: Review) -> pl.DataFrame:
 def review_html(review: Review) -> str:
     """Return the page of a review as text."""
     table = review_table(review)
-    cards = [Card(MOODS[each], str(review.count(each)), each) for each in ORDER]
+    cards = [Card(MOODS[verdict], str(review.count(verdict)), verdict) for verdict in ORDER]
     drawn = image_markup(
         encode_figure(review_figure(review)),
         "Armature, damping, friction loss and stiffness of each joint as the log has them, with"

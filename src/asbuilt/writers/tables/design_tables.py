@@ -251,7 +251,7 @@ def describe_margins(limits: LimitReport) -> str:
 def tabulate_margins(limits: LimitReport) -> Table:
     """Return the smallest margin of each quantity, with its joint and time."""
     return Table.of(
-        [each for each in limits.worst.values() if each is not None],
+        [margin for margin in limits.worst.values() if margin is not None],
         (
             Column("limit", of="quantity"),
             Column("nearest joint", width=24, of="joint"),

@@ -74,7 +74,10 @@ def drives_text(full: bool = False) -> str:
 
 
 def _word_options(term: DriveTerm) -> str:
-    options = ((f"{each.name} {each.default:g}", each.fitted) for each in term.nonlinear)
+    options = (
+        (f"{parameter.name} {parameter.default:g}", parameter.fitted)
+        for parameter in term.nonlinear
+    )
     return ", ".join(f"[{text}]" if fitted else text for text, fitted in options) or "-"
 
 
@@ -253,7 +256,8 @@ def tabulate_motor_side(parameters: Sequence[MotorSideParameter]) -> Table:
             Column("gear ratio", align="right", of="gear_ratio"),
             Column("at the joint", align="decimal", style=".4g", of="joint_side"),
             Column(
-                "at the motor", of=lambda each: format_plus_minus(each.motor_side, each.std_error)
+                "at the motor",
+                of=lambda parameter: format_plus_minus(parameter.motor_side, parameter.std_error),
             ),
         ),
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from asbuilt.tables import (
 )
 from asbuilt.validation.comparison.comparison import tabulate_paired_torques
 from asbuilt.validation.verdicts.verdict import describe_payload_outcome
-from asbuilt.writers.files import path_texts
 
 _SOURCES = {
     "motor": "motors",
@@ -129,8 +127,8 @@ def tabulate_payload_torques(payload: Payload) -> Table:
     )
 
 
-def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
-    """Return what `asbuilt payload --json` prints."""
+def payload_document(payload: Payload) -> dict[str, Any]:
+    """Return what `asbuilt payload --json` prints, without the files written."""
     values = {
         "estimate": payload.values,
         "std_error": payload.std_errors,
@@ -162,7 +160,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
         "not_determined": list(payload.not_determined),
         "validation": [metrics.as_dict() for metrics in payload.metrics],
         "bare": [metrics.as_dict() for metrics in payload.metrics_bare],
-        "files": path_texts(files),
+        "files": {},
     }
 
 

@@ -89,6 +89,8 @@ def _name_kind(joint: Joint) -> str:
 
 def tabulate_robot_joints(model: RobotModel) -> Table:
     """List the joints: parent link, placement of the axis in it, limits and described drives."""
+    # Both units where only some joints slide.
+    unit = ", ".join(sorted({joint.torque_unit for joint in model.moving_joints}, reverse=True))
     columns = [
         Column("joint", of="name"),
         Column("kind", of=_name_kind),
@@ -97,7 +99,7 @@ def tabulate_robot_joints(model: RobotModel) -> Table:
         Column("axis along", detail=True, of=lambda joint: _format_vector(joint.before[:3, 2])),
         Column("range", width=22, of=_format_range),
         Column("velocity", "1/s", "decimal", ".4g", of="limits.velocity"),
-        Column("torque", "N m", "decimal", ".4g", of="limits.torque"),
+        Column("torque", unit, "decimal", ".4g", of="limits.torque"),
         Column("Ia", "", "decimal", ".4g", detail=True, of="drive.armature"),
         Column("Fv", "", "decimal", ".4g", detail=True, of="drive.viscous"),
         Column("Fc", "", "decimal", ".4g", detail=True, of="drive.coulomb"),
@@ -269,7 +271,9 @@ def standard_table(base: BaseParameters) -> Table:
             Column("id", align="right", of="id"),
             Column("parameter", of="name"),
             Column("status", of="status"),
-            Column("in base ids", of=lambda each: " ".join(map(str, each.members)) or "-"),
+            Column(
+                "in base ids", of=lambda parameter: " ".join(map(str, parameter.members)) or "-"
+            ),
             Column("why", of="why"),
         ),
         "Standard parameters",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +13,21 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrap_text
 from asbuilt.validation import Rollout, recording_name, rollout_findings
-from asbuilt.validation.rollout.position_errors import RolloutErrors, average_errors, position_unit
+from asbuilt.validation.rollout.position_errors import (
+    BY_RECORDING,
+    RecordingErrors,
+    RolloutErrors,
+    average_errors,
+    position_unit,
+)
 from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:
     from asbuilt.workflow.refinement import Refined
+
+
+ROBOTS = (("CAD", "cad"), ("as built", "as_built"))
+"""Names of the simulated robots, in tables and of a rollout's errors."""
 
 
 def with_rollouts(document: dict[str, Any], rollouts: Sequence[Rollout]) -> dict[str, Any]:
@@ -72,23 +83,25 @@ def tabulate_rollouts(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
         (
             Column("horizon", "s", "decimal", ".3g", of="horizon"),
             Column("windows", align="right", of="n_windows"),
-            Column("CAD", unit, "decimal", of=lambda each: _show_error(each.cad)),
-            Column("as built", unit, "decimal", of=lambda each: _show_error(each.as_built)),
-            Column("command", unit, "decimal", of=lambda each: _show_error(each.no_physics)),
-            Column("repeat", unit, "decimal", of=lambda each: _show_error(each.floor)),
-            Column("tool, CAD", "mm", "decimal", of=lambda each: _show_tool_error(each.cad)),
-            Column(
-                "tool, as built", "mm", "decimal", of=lambda each: _show_tool_error(each.as_built)
+            *(
+                Column(
+                    name, unit, "decimal", of=partial(_show_error, errors, attrgetter("rms_all"))
+                )
+                for name, errors in (*ROBOTS, ("command", "no_physics"), ("repeat", "floor"))
             ),
             *(
-                Column(f"{what}, {name}", unit, "decimal", of=partial(_show_base_error, robot, k))
-                for k, (what, unit) in enumerate((("base", "mm"), ("tilt", "mrad")))
-                for name, robot in (("CAD", "cad"), ("as built", "as_built"))
+                Column(f"{what}, {name}", unit, "decimal", of=partial(_show_error, robot, measure))
+                for what, unit, measure in (
+                    ("tool", "mm", attrgetter("tool")),
+                    ("base", "mm", lambda errors: errors.base and errors.base[0]),
+                    ("tilt", "mrad", lambda errors: errors.base and errors.base[1]),
+                )
+                for name, robot in ROBOTS
             ),
             Column(
                 "worst joint",
                 width=16,
-                of=lambda each: _name_worst_joint(model, each.as_built or each.cad),
+                of=lambda rollout: _name_worst_joint(model, rollout.as_built or rollout.cad),
             ),
         ),
         "Rollout: position error of the simulation from the measured state, driven by the"
@@ -111,7 +124,11 @@ def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
     means = map(format_in_milli, average_errors(runs).values())
     rows = (
         *(
-            (recording_name(run.source), run.n_windows, *map(_show_error, run.errors().values()))
+            (
+                recording_name(run.source),
+                run.n_windows,
+                *(_show_error(name, attrgetter("rms_all"), run) for name in BY_RECORDING),
+            )
             for run in runs
         ),
         ("mean of recordings", rollout.n_windows, *means),
@@ -119,17 +136,12 @@ def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
     return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording").filled()
 
 
-def _show_error(errors: RolloutErrors | None) -> Cell:
-    return None if errors is None else format_in_milli(errors.rms_all)
-
-
-def _show_tool_error(errors: RolloutErrors | None) -> Cell:
-    return None if errors is None or errors.tool is None else format_in_milli(errors.tool)
-
-
-def _show_base_error(robot: str, k: int, rollout: Rollout) -> Cell:
-    errors: RolloutErrors | None = getattr(rollout, robot)
-    return None if errors is None or errors.base is None else format_in_milli(errors.base[k])
+def _show_error(
+    name: str, measure: Callable[[RolloutErrors], float | None], rollout: Rollout | RecordingErrors
+) -> Cell:
+    """Return a measure of the errors that a rollout has by this name, in thousandths."""
+    errors: RolloutErrors | None = getattr(rollout, name)
+    return None if errors is None else format_in_milli(measure(errors))
 
 
 def _name_worst_joint(model: RobotModel, errors: RolloutErrors | None) -> str:

@@ -207,8 +207,8 @@ def tabulate_identified(result: IdentificationResult) -> Table:
                     "std_error",
                 )
             ),
-            Column("determined", of=lambda each: "yes" if each.determined else "no"),
-            Column("dropped", of=lambda each: "yes" if each.dropped else "no"),
+            Column("determined", of=lambda parameter: "yes" if parameter.determined else "no"),
+            Column("dropped", of=lambda parameter: "yes" if parameter.dropped else "no"),
         ),
     )
 
@@ -288,7 +288,7 @@ def mass_table(masses: ExportedMasses) -> Table:
         (
             Column("link", width=30, of=name_place),
             Column("CAD", "kg", "decimal", 4, of="cad"),
-            Column("feasible", "kg", of=lambda each: each.text.replace(" kg", "")),
+            Column("feasible", "kg", of=lambda interval: interval.text.replace(" kg", "")),
             Column("chosen", "kg", "decimal", 4, of="chosen"),
             Column("difference", "kg", "decimal", 4, of=_measure_mass_difference),
         ),
@@ -310,9 +310,9 @@ def feasible_table(intervals: Sequence[FeasibleInterval], condition: str = "") -
         intervals,
         (
             Column("quantity", width=30, of="quantity"),
-            Column("CAD", of=lambda each: round_significant(each.cad), align="right"),
+            Column("CAD", of=lambda interval: round_significant(interval.cad), align="right"),
             Column("feasible (95 %)", of="text"),
-            Column("chosen", of=lambda each: round_significant(each.chosen), align="right"),
+            Column("chosen", of=lambda interval: round_significant(interval.chosen), align="right"),
             Column("confounded with", width=30, of=_name_confounded),
         ),
         notes=(

@@ -21,7 +21,7 @@ from asbuilt import (
 from asbuilt.apps.fleet.drift.columns import make_day, merge_by_day
 from asbuilt.apps.fleet.drift.drift import RobotDrift, conclude_drift
 from asbuilt.apps.fleet.ledger.entry import read_entry
-from asbuilt.apps.fleet.reduction.add import make_identity_finder
+from asbuilt.apps.fleet.reduction.log_source import make_identity_finder
 from asbuilt.apps.fleet.report import render_fleet
 from asbuilt.description import LinkInertia
 from asbuilt.description.rotation import find_axes_across

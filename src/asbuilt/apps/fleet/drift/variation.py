@@ -66,7 +66,8 @@ class History:
         if not coefficients.size:
             return self
         # A robot may lack a temperature that others of its type have.
-        usual = np.ma.median(np.ma.masked_invalid(self.covariates), axis=0).filled(0.0)
+        known = [values[np.isfinite(values)] for values in self.covariates.T]
+        usual = [np.median(values) if values.size else 0.0 for values in known]
         y = np.nan_to_num(self.covariates - usual, nan=0.0) @ coefficients
         return replace(self, score=self.score - np.einsum("drs,ds->dr", self.information, y))
 

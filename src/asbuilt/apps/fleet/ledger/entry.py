@@ -27,6 +27,7 @@ from asbuilt.apps.fleet.ledger.settings import (
     TypeSettings,
     check_schema,
     check_version,
+    make_damage_error,
 )
 from asbuilt.apps.fleet.ledger.store import name_entry_folder, unpack_table
 from asbuilt.arrays import Array
@@ -44,6 +45,7 @@ from asbuilt.identification import (
 
 DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""
+ADD_AGAIN = Cure("remove it and add its log again")
 WHOLE = -1
 """Block number of the whole log."""
 _NAME = re.compile(
@@ -177,7 +179,7 @@ def read_entry(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
         If the file is damaged, is of another format, or is not what its name says.
     """
     if digest_content(content) != name.content:
-        raise _make_damage_error(name.path, "its content is not what was written")
+        raise make_damage_error(name.path, "its content is not what was written", ADD_AGAIN)
     try:
         frame = _unpack_frame(content)
         check_version(name.path, frame["format_version"][0])
@@ -186,9 +188,10 @@ def read_entry(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
     except ResultError:
         raise
     except (pl.exceptions.PolarsError, ValueError, KeyError, TypeError, IndexError) as problem:
-        raise _make_damage_error(name.path, f"{type(problem).__name__} {problem}") from problem
+        why = f"{type(problem).__name__} {problem}"
+        raise make_damage_error(name.path, why, ADD_AGAIN) from problem
     except AsbuiltError as problem:
-        raise _make_damage_error(name.path, problem.message) from problem
+        raise make_damage_error(name.path, problem.message, ADD_AGAIN) from problem
 
 
 def _build_frame(entry: Entry) -> pl.DataFrame:
@@ -340,14 +343,6 @@ def _read_covariates(frame: pl.DataFrame, information: SquareRootInformation) ->
             values = found.setdefault(covariate["name"], np.full(shape, np.nan))
             values[divmod(row, information.n_joints)] = covariate["value"]
     return found
-
-
-def _make_damage_error(path: str, why: str) -> ResultError:
-    return ResultError(
-        f"{path} is damaged: {why[:200]}",
-        cure=Cure("remove it and add its log again"),
-        file=path,
-    )
 
 
 def join_entries(entries: Sequence[Entry], most: int) -> SquareRootInformation:

@@ -31,6 +31,7 @@ FORMAT = "asbuilt fleet settings"
 FORMAT_VERSION = 1
 """Of all files of a ledger."""
 SOFTWARE = version_of("asbuilt")
+RESTORE = Cure("restore it from a copy, or rebuild the ledger from its logs")
 DESCRIBED = ("source", "citation", "notes")
 """Fields of a robot that say where it is from; the same robot may come from two places."""
 
@@ -157,11 +158,13 @@ class TypeSettings:
         except ResultError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError, AsbuiltError) as problem:
-            raise _make_damage_error(path, str(problem) or type(problem).__name__) from problem
+            why = str(problem) or type(problem).__name__
+            raise make_damage_error(path, why, RESTORE) from problem
         if found.digest != document.get("digest", path.rpartition("-")[2].removesuffix(".json")):
-            raise _make_damage_error(path, "its content is not what its digest says")
+            raise make_damage_error(path, "its content is not what its digest says", RESTORE)
         if path.startswith("types/") and not path.startswith(f"types/{found.robot_type}/"):
-            raise _make_damage_error(path, f"it belongs to the type {found.robot_type}")
+            why = f"it belongs to the type {found.robot_type}"
+            raise make_damage_error(path, why, RESTORE)
         if list(found.base.names) != document["parameters"]:
             raise ResultError(
                 f"{path} has other base parameters than its robot has today",
@@ -194,12 +197,9 @@ def _hash_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _make_damage_error(path: str, why: str) -> ResultError:
-    return ResultError(
-        f"{path} is damaged: {why[:200]}",
-        cure=Cure("restore it from a copy, or rebuild the ledger from its logs"),
-        file=path,
-    )
+def make_damage_error(path: str, why: str, cure: Cure) -> ResultError:
+    """Return the error of a file of a ledger that is damaged."""
+    return ResultError(f"{path} is damaged: {why[:200]}", cure=cure, file=path)
 
 
 EARLIEST = datetime(2000, 1, 1, tzinfo=UTC)

@@ -19,9 +19,6 @@ from asbuilt.writing import atomic_write
 
 LONGEST = 60
 """Characters of an identity."""
-LONGEST_PATTERN = 250
-"""Characters of a pattern that finds identities in paths."""
-
 
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs", "az": "azure", "abfs": "azure"}
 """Extra that has the file system of a protocol."""
@@ -61,44 +58,6 @@ def is_folder(name: str) -> bool:
         return name_entry_folder(unquote(name)) == f"logs/{name}"
     except UsageError:
         return False
-
-
-def find_identity(pattern: str, path: str) -> str | None:
-    """Return what stands at `{id}` where a pattern matches the end of a path; None if it does not.
-
-    A `*` takes as much of a name as it can, `{id}` as little, and both stay within one name. Every
-    pair of a place in the pattern and one in the path is tried once, so that the time is bounded
-    by the product of the lengths, which backtracking is not.
-
-    >>> find_identity("*_{id}.csv", "logs/run_1_arm.csv")
-    'arm'
-    """
-    before, _, after = pattern.partition("{id}")
-    parts = [*before, "first", "rest", *after]
-    starts = [0, *(k + 1 for k, letter in enumerate(path) if letter == "/")]
-    waiting = [(0, k, 0, 0) for k in reversed(starts)]
-    tried = set()
-    while waiting:
-        place, at, first, last = waiting.pop()
-        if (place, at) in tried:
-            continue
-        tried.add((place, at))
-        if place == len(parts):
-            if at == len(path):
-                return path[first:last]
-            continue
-        part = parts[place]
-        letter = path[at : at + 1]
-        inside = letter not in ("", "/")
-        if part == "first":
-            waiting += [(place + 1, at + 1, at, at)] * inside
-        elif part == "rest":
-            waiting += [(place, at + 1, first, last)] * inside + [(place + 1, at, first, at)]
-        elif part == "*":
-            waiting += [(place + 1, at, first, last)] + [(place, at + 1, first, last)] * inside
-        elif part == letter:
-            waiting.append((place + 1, at + 1, first, last))
-    return None
 
 
 class LocalStore:

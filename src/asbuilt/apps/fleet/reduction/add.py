@@ -13,7 +13,7 @@ from typing import Any
 
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.apps.fleet.ledger.settings import TypeSettings, name_robot_type
-from asbuilt.apps.fleet.ledger.store import LONGEST_PATTERN, check_robot_id, find_identity
+from asbuilt.apps.fleet.ledger.store import check_robot_id
 from asbuilt.apps.fleet.options import FleetOptions
 from asbuilt.apps.fleet.overview import report_suspicions
 from asbuilt.apps.fleet.reduction.log_source import choose_settings, hash_sources
@@ -29,7 +29,6 @@ from asbuilt.errors import AsbuiltError, RecordingError, UsageError
 from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment import ReadingOptions, group_files
 from asbuilt.findings import Cure, Finding, rank_findings
-from asbuilt.untrusted import shorten_path
 from asbuilt.workflow import Progress, StudyOptions
 
 
@@ -163,44 +162,6 @@ def add_logs(
     return conclude_addition(
         opened, (settings,), reports, fixed=fixed, began=began, dashboard=workers.dashboard
     )
-
-
-def make_identity_finder(pattern: str) -> Callable[[Path], str]:
-    """Return a function that finds the identity of a robot in the path of a log.
-
-    Parameters
-    ----------
-    pattern
-        End of the path, in which `{id}` stands for the identity and `*` for anything, both within
-        one name: `{id}/*.csv`, `*_{id}.parquet`.
-
-    Raises
-    ------
-    UsageError
-        If the pattern has no `{id}`; the function raises it for a path that does not match.
-
-    Examples
-    --------
-    >>> make_identity_finder("{id}/*.csv")(Path("logs/arm-7/2026-03-01.csv"))
-    'arm-7'
-    """
-    if pattern.count("{id}") != 1:
-        raise UsageError(
-            f"the pattern {pattern[:80]!r} must have one {{id}}, in the place of the"
-            " robot's identity",
-            cure=Cure("write one such as {id}/*.csv"),
-        )
-    if len(pattern) > LONGEST_PATTERN:
-        raise UsageError(f"the pattern has {len(pattern)} characters, at most {LONGEST_PATTERN}")
-
-    def identity(path: Path) -> str:
-        found = find_identity(pattern, path.as_posix())
-        if found is None:
-            shown = shorten_path(path)
-            raise UsageError(f"{shown} does not match the pattern {pattern!r} of identities")
-        return found
-
-    return identity
 
 
 def run_tasks(

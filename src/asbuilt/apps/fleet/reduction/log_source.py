@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -31,7 +31,10 @@ from asbuilt.experiment import (
 )
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification import settle_drive
+from asbuilt.untrusted import shorten_path
 
+LONGEST_PATTERN = 250
+"""Characters of a pattern that finds identities in paths."""
 _IN_NAME = re.compile(
     r"(?<!\d)(20\d\d)([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])"
     r"(?:[T_ -]?([01]\d|2[0-3])[-_.:h]?([0-5]\d)(?:[-_.:m]?([0-5]\d))?)?(?!\d)"
@@ -56,6 +59,82 @@ def hash_sources(paths: Sequence[Path]) -> str:
             file=str(paths[0]),
         ) from problem
     return digest.hexdigest()
+
+
+def make_identity_finder(pattern: str) -> Callable[[Path], str]:
+    """Return a function that finds the identity of a robot in the path of a log.
+
+    Parameters
+    ----------
+    pattern
+        End of the path, in which `{id}` stands for the identity and `*` for anything, both within
+        one name: `{id}/*.csv`, `*_{id}.parquet`.
+
+    Raises
+    ------
+    UsageError
+        If the pattern has no `{id}`; the function raises it for a path that does not match.
+
+    Examples
+    --------
+    >>> make_identity_finder("{id}/*.csv")(Path("logs/arm-7/2026-03-01.csv"))
+    'arm-7'
+    """
+    if pattern.count("{id}") != 1:
+        raise UsageError(
+            f"the pattern {pattern[:80]!r} must have one {{id}}, in the place of the"
+            " robot's identity",
+            cure=Cure("write one such as {id}/*.csv"),
+        )
+    if len(pattern) > LONGEST_PATTERN:
+        raise UsageError(f"the pattern has {len(pattern)} characters, at most {LONGEST_PATTERN}")
+
+    def identity(path: Path) -> str:
+        found = find_identity(pattern, path.as_posix())
+        if found is None:
+            shown = shorten_path(path)
+            raise UsageError(f"{shown} does not match the pattern {pattern!r} of identities")
+        return found
+
+    return identity
+
+
+def find_identity(pattern: str, path: str) -> str | None:
+    """Return what stands at `{id}` where a pattern matches the end of a path; None if it does not.
+
+    A `*` takes as much of a name as it can, `{id}` as little, and both stay within one name. Every
+    pair of a place in the pattern and one in the path is tried once, so that the time is bounded
+    by the product of the lengths, which backtracking is not.
+
+    >>> find_identity("*_{id}.csv", "logs/run_1_arm.csv")
+    'arm'
+    """
+    before, _, after = pattern.partition("{id}")
+    parts = [*before, "first", "rest", *after]
+    starts = [0, *(k + 1 for k, letter in enumerate(path) if letter == "/")]
+    waiting = [(0, k, 0, 0) for k in reversed(starts)]
+    tried = set()
+    while waiting:
+        place, at, first, last = waiting.pop()
+        if (place, at) in tried:
+            continue
+        tried.add((place, at))
+        if place == len(parts):
+            if at == len(path):
+                return path[first:last]
+            continue
+        part = parts[place]
+        letter = path[at : at + 1]
+        inside = letter not in ("", "/")
+        if part == "first":
+            waiting += [(place + 1, at + 1, at, at)] * inside
+        elif part == "rest":
+            waiting += [(place, at + 1, first, last)] * inside + [(place + 1, at, first, at)]
+        elif part == "*":
+            waiting += [(place + 1, at, first, last)] + [(place, at + 1, first, last)] * inside
+        elif part == letter:
+            waiting.append((place + 1, at + 1, first, last))
+    return None
 
 
 def read_logs(

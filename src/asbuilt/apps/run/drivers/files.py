@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ POLL = 0.5
 """Time between two looks into the inbox [s]; people copy files more slowly."""
 SETTLED = 2
 """Looks in a row at which a log must have the same size, so that it is copied to its end."""
+_NUMBERED = re.compile(r"motion_[0-9]{1,9}")
 SIDE_FILES = (".toml", ".part", ".tmp", ".crdownload")
 """Suffixes of recording sheets, and of files that are still being copied; no logs."""
 
@@ -72,7 +74,9 @@ class FilesDriver:
         for name, path in sent.items():
             if path.read_bytes() == text:
                 return name
-        name = f"motion_{len(sent) + 1}"
+        # Beyond the last: of a motion that was deleted the log may still be in the inbox.
+        numbers = [int(stem.removeprefix("motion_")) for stem in sent if _NUMBERED.fullmatch(stem)]
+        name = f"motion_{max(numbers, default=0) + 1}"
         for form in self._request.programs:
             writers.PROGRAM_WRITERS.find("controller").write(
                 self.outbox / f"{name}_{form}",

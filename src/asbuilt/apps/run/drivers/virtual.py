@@ -6,7 +6,7 @@ import zlib
 
 import numpy as np
 
-from asbuilt import LinkInertia, Recording, VirtualRobot
+from asbuilt import LinkInertia, Recording, UsageError, VirtualRobot
 from asbuilt.apps.run.drivers import DRIVERS, DriverRequest
 from asbuilt.excitation import Motion
 from asbuilt.experiment import with_settings
@@ -32,6 +32,11 @@ class VirtualDriver:
     moves_metal = False
 
     def __init__(self, request: DriverRequest) -> None:
+        if request.programs:
+            raise UsageError(
+                "a virtual robot runs no controller program; leave the programs out, or choose the"
+                " driver files:DIR"
+            )
         preset, *settings = request.argument.split(",") if request.argument else ["lab"]
         robot = VirtualRobot.preset(preset, request.model, request.seed)
         if preset != "ideal":

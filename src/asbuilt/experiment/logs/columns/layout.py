@@ -19,12 +19,14 @@ from asbuilt.experiment.logs.columns.channels import choose_channels, name_alike
 from asbuilt.experiment.logs.columns.roles import (
     GOALS,
     PARTS,
+    Quantity,
     Role,
     find_nanoseconds,
     match_commanded_role,
     parse_unit_scale,
     recognise,
     recognise_by_unit,
+    split_unit,
 )
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
@@ -33,7 +35,7 @@ from asbuilt.findings import Cure
 
 QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
 """Quantities of every joint; others are kept as extras."""
-_SYMBOLS = {
+_SYMBOLS: Mapping[str, Quantity] = {
     "q": "position",
     "qd": "velocity",
     "dq": "velocity",
@@ -66,7 +68,8 @@ class Layout:
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
     `tau_ext` where the log has them. A joint without a torque column has "" in its place.
-    `nanoseconds` is a column to add to the time, `offsets` are added to columns in SI.
+    `nanoseconds` is a column to add to the time, `offsets` are added to columns in SI. A layout is
+    `by_values` where these decided which of several channels of a quantity it has.
     """
 
     time: str | None
@@ -77,6 +80,7 @@ class Layout:
     notes: tuple[str, ...] = ()
     nanoseconds: str | None = None
     offsets: Mapping[str, float] = field(default_factory=dict)
+    by_values: bool = False
 
     @property
     def columns(self) -> list[str]:
@@ -109,11 +113,18 @@ def find_layout(
     """
     source = table.source
     names = tuple(table.columns)
-    of_base = {
-        find_column(table, what, column): ("", "") for what, column in sheet.columns.by_base.items()
-    }
-    own = _find_own_columns(names, model, sheet) | dict(table.known) | of_base
-    groups = _group_columns(names, own, sheet)
+    known = _find_own_columns(names, model, sheet)
+    for name, (quantity, joint) in table.known.items():
+        unit = split_unit(name, quantity)[1]
+        known[name] = Role(
+            quantity,  # type: ignore[arg-type]
+            joint,
+            scale=(unit and parse_unit_scale(unit)) or 1.0,
+            unit=unit,
+        )
+    of_base = {find_column(table, *each) for each in sheet.columns.by_base.items()}
+    joined = [name for name in names if name not in of_base and table.known.get(name) != ("", "")]
+    groups = _group_columns(joined, known, sheet)
     for (quantity, kind), listed in sheet.columns.by_group.items():
         groups[quantity, kind] = _group_listed_columns(table, quantity, listed, sheet)
     groups = {key: group for key, group in groups.items() if group}
@@ -188,6 +199,7 @@ def find_layout(
         "unknown" if measured is None else _TORQUES[measured],
         tuple(notes),
         find_nanoseconds(time.column, names) if time and own_time else None,
+        by_values=bool(chosen_channels),
     )
 
 
@@ -232,7 +244,7 @@ def _refuse_unscaled(
 
 def _find_own_columns(
     names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet
-) -> dict[str, tuple[str, str]]:
+) -> dict[str, Role]:
     """Return the columns named exactly by a quantity's symbol and a joint of the robot.
 
     This holds for quantities that have such a column for every joint, so that no joint's name is
@@ -240,7 +252,7 @@ def _find_own_columns(
     """
     joints = () if model is None or sheet.joints is not None else model.joint_names
     return {
-        f"{symbols}_{joint}": (quantity, joint)
+        f"{symbols}_{joint}": Role(quantity, joint)
         for symbols, quantity in _SYMBOLS.items()
         if all(f"{symbols}_{joint}" in names for joint in joints)
         for joint in joints
@@ -248,7 +260,7 @@ def _find_own_columns(
 
 
 def _group_columns(
-    names: Sequence[str], known: Mapping[str, tuple[str, str]], sheet: RecordingSheet
+    names: Sequence[str], known: Mapping[str, Role], sheet: RecordingSheet
 ) -> dict[tuple[str, str], _Group]:
     """Return the columns of each quantity and kind, by what is known of them or by their names.
 
@@ -256,7 +268,6 @@ def _group_columns(
     setpoint names where each joint with a position has one.
     """
     renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
-    names = [name for name in names if known.get(name) != ("", "")]
 
     def group(recognise_one: Callable[[str], Role | None]) -> dict[tuple[str, str], _Group]:
         groups: dict[tuple[str, str], _Group] = {}
@@ -268,13 +279,7 @@ def _group_columns(
             _count_by_index(each)
         return groups
 
-    groups = group(
-        lambda name: (
-            Role(*known[name])  # type: ignore[arg-type]
-            if name in known
-            else recognise(name) or match_commanded_role(name)
-        )
-    )
+    groups = group(lambda name: known.get(name) or recognise(name) or match_commanded_role(name))
     _use_two_encoders(groups)
     by_unit = group(recognise_by_unit)
     goals = group(partial(match_commanded_role, alone=GOALS))
@@ -552,11 +557,15 @@ def _choose_scales(
 ) -> dict[str, float]:
     """Return the factor of each column to SI, and note what names of columns gave."""
     scales: dict[str, float] = {}
+    named = {role.unit for role in chosen["position"]}
     for quantity, group in chosen.items():
         unit = getattr(sheet.units, quantity, None)
-        unnamed = quantity == "command" and not any(role.unit for role in group)
-        if unit is None and (unnamed or quantity in ENCODERS.values()):
+        unnamed = not any(role.unit for role in group)
+        if unit is None and (quantity in ENCODERS.values() or (quantity == "command" and unnamed)):
             unit = sheet.units.position
+            if unit is None and unnamed and len(named) == 1 and named != {""}:
+                unit = next(iter(named))
+                notes.append(f"{quantity} columns name no unit and have the positions', {unit}")
         for role in group:
             scales[role.column] = role.scale if unit is None else parse_unit_scale(unit) or 1.0
         units = {role.unit for role in group if role.scale != 1.0}

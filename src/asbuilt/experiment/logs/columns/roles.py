@@ -384,20 +384,37 @@ def recognise_by_unit(name: str) -> Role | None:
     words = split_words(bare)
     if not unit or recognise(name) is not None or set(words) & (_DESIRED | _OTHER | _EXTERNAL):
         return None
-    kind = unit.lower().split("/")[0].strip()
-    quantity = _QUANTITY_OF_UNIT.get(kind)
+    quantity = _find_quantity_of_unit(unit, order)
+    scale = parse_unit_scale(unit) or 1.0
     if quantity == "time":
-        return None if set(words) & _NO_CLOCK else Role("time", scale=_UNITS[kind], unit=unit)
+        return None if set(words) & _NO_CLOCK else Role("time", scale=scale, unit=unit)
     numbered = [
         int(words[k + 1])
         for k in range(len(words) - 1)
         if words[k] in _JOINT and words[k + 1].isdigit()
     ]
-    if quantity is None or not numbered or (order and quantity != "position"):
+    if quantity is None or not numbered:
         return None
-    return Role(
-        _RATES[order] if order else quantity, index=numbered[-1], scale=_UNITS[kind], unit=unit
-    )
+    return Role(quantity, index=numbered[-1], scale=scale, unit=unit)
+
+
+def _find_quantity_of_unit(unit: str, order: int) -> Quantity | None:
+    """Return the quantity of a joint that has a unit, so often per second."""
+    quantity = _QUANTITY_OF_UNIT.get(unit.lower().split("/")[0].strip())
+    if order == 0:
+        return quantity
+    return _RATES[order] if quantity == "position" else None
+
+
+def split_unit(name: str, quantity: str) -> tuple[str, str]:
+    """Return the name of a column of a quantity without its unit, and the unit; "" without one.
+
+    >>> split_unit("shoulder [deg]", "position"), split_unit("arm_ms", "position")
+    (('shoulder', 'deg'), ('arm_ms', ''))
+    """
+    bare, _, unit, order = _split_unit(_spell(name))
+    fits = unit and _find_quantity_of_unit(unit, order) in (None, quantity)
+    return (bare.strip("_./ -"), unit) if fits else (name, "")
 
 
 def parse_file_quantity(stem: str) -> tuple[Quantity | None, str]:

@@ -228,9 +228,7 @@ def _read_dataset(path: Path, name: str, item: Any) -> dict[str, Array]:
             " too many for a file of its size"
         )
     parts = {f"{name}/{each}": item[each] for each in item.dtype.names or ()} or {name: item}
-    return {
-        each: values[()] for each, values in parts.items() if np.issubdtype(values.dtype, np.number)
-    }
+    return {each: values[()] for each, values in parts.items() if values.dtype.kind in "biufc"}
 
 
 def _make_foreign_error(path: Path, name: str, why: str) -> RecordingError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -103,7 +104,7 @@ def find_dialect(
     if separator is None:
         separator = _find_separator([lines[k] for k in body[:20]])
     names, *rest = (_split_fields(lines[k], separator) for k in body[:3])
-    decimal_comma = separator == ";" and any("," in cell for row in rest for cell in row)
+    decimal_comma = separator not in ("", ",") and any("," in cell for row in rest for cell in row)
     is_number = partial(_is_number, decimal_comma=decimal_comma)
     skip = body[0]
     data = names
@@ -245,7 +246,7 @@ def _read_parts(path: Path, dialect: Dialect) -> Iterator[bytes]:
     with path.open("rb") as file:
         for _ in range(dialect.skip):
             file.readline()
-        begun = b""
+        begun = b"" if dialect.skip else file.read(len(BOM_UTF8)).removeprefix(BOM_UTF8)
         for read in iter(lambda: file.read(AT_ONCE), b""):
             whole, end, begun = (begun + read).rpartition(b"\n")
             rows = without_comments(whole + end)
@@ -379,6 +380,7 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
         data = np.loadtxt(
             path,
             comments=list(_COMMENTS),
+            encoding="utf-8-sig",
             skiprows=dialect.skip,
             max_rows=dialect.rows,
             ndmin=2,

@@ -229,7 +229,7 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     arrays = {
         name: a
         for name, a in arrays.items()
-        if a.ndim in (1, 2) and a.size > 1 and np.issubdtype(a.dtype, np.number)
+        if a.ndim in (1, 2) and a.size > 1 and a.dtype.kind in "biufc"
     }
     if not any(np.isrealobj(a) for a in arrays.values()):
         raise RecordingError(

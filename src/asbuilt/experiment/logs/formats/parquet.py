@@ -96,8 +96,8 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
     """
     frame = pl.scan_parquet(path)
     schema = frame.collect_schema()
-    timed = (pl.Datetime, pl.Duration)
-    numeric = [name for name, kind in schema.items() if kind.is_numeric() or kind in timed]
+    also = (pl.Datetime, pl.Duration, pl.Boolean)
+    numeric = [name for name, kind in schema.items() if kind.is_numeric() or kind in also]
     if not numeric:
         raise RecordingError(
             f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)})",

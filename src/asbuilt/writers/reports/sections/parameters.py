@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from asbuilt.tables import format_deviation, format_percent, round_beside, round_with_error
+from asbuilt.tables import format_percent, round_beside, round_with_error
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter
 from asbuilt.writers.reports.page import section_markup
 from asbuilt.writers.reports.report import Report, Section, sections
@@ -87,7 +87,6 @@ def _build_row(parameter: ComparedParameter) -> dict[str, Any]:
     value = parameter.estimate
     error = parameter.std_error
     shown, uncertainty = round_with_error(value, error)
-    outcome = {"differs": "DIFFERS", "agrees": format_deviation(parameter.sigmas, math.inf)}
     return {
         "id": parameter.id,
         "expression": parameter.expression,
@@ -102,7 +101,7 @@ def _build_row(parameter: ComparedParameter) -> dict[str, Any]:
         "percent": format_percent(value, error),
         "percent_value": _choose_key(None if error is None or not value else abs(error / value)),
         "verdict": parameter.verdict,
-        "outcome": outcome.get(parameter.verdict, parameter.verdict),
+        "outcome": parameter.outcome,
         "sigmas": _choose_key(None if parameter.sigmas is None else abs(parameter.sigmas)),
         "sigma_text": "" if parameter.sigmas is None else f"{parameter.sigmas:+.1f} sigma",
         **place_interval(value, 1.96 * (error or 0.0), cad),
