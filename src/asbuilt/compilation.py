@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import gc
 import glob
 import hashlib
 from collections.abc import Callable, Iterator
@@ -19,6 +18,8 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
+
+from asbuilt.registry import pause_garbage_collection
 
 try:
     import fcntl
@@ -130,7 +131,7 @@ class Kernel(CPUDispatcher):
                 finally:
                     Kernel.announce = announce
             # Whoever waits for the lock finds the code of the process that had it.
-            with self._lock(), _pause_garbage_collection():
+            with self._lock(), pause_garbage_collection():
                 super().compile(self.declared)
             self.disable_compile()
 
@@ -228,18 +229,6 @@ def announce_kernels(announce: Callable[[Kernel], None]) -> Iterator[None]:
         yield
     finally:
         Kernel.announce = None
-
-
-@contextmanager
-def _pause_garbage_collection() -> Iterator[None]:
-    """Spare the compiler the collector, which finds little and takes a tenth of its time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def parse_types(signature: str) -> tuple[Any, ...]:

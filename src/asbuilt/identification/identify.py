@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -69,20 +70,27 @@ LOAD_CONVERGENCE = 1e-4
 NOISE_TAKEN_AWAY = "What noise of the pose lends the parameters was taken away."
 
 
+class FitErrors(NamedTuple):
+    """Hold the errors of a fit: of its parameters, and what else adds to them, with notes."""
+
+    uncertainty: Uncertainty
+    nonlinear: NonlinearErrors | None = None
+    delay: DelayErrors | None = None
+    notes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """Hold base parameters estimated from samples, before anything is predicted from them.
 
-    `of_kind` gives the fit of another kind to the same equations, if the estimator chose among some
-    and has kept what it compared.
+    `errors` are found when they are first asked for. `of_kind` gives the fit of another kind to the
+    same equations, if the estimator chose among some and has kept what it compared.
     """
 
     model: RobotModel
     information: SquareRootInformation
     estimate: Estimate
-    uncertainty: Uncertainty
-    nonlinear: NonlinearErrors | None
-    delay: DelayErrors | None
+    errors: Callable[[], FitErrors]
     design: Array
     rate: float
     provenance: tuple[str, ...]
@@ -96,6 +104,15 @@ class Fit:
     def base(self) -> BaseParameters:
         """The base parameters."""
         return self.information.base
+
+    @property
+    def uncertainty(self) -> Uncertainty:
+        """The errors of the parameters by the fit alone."""
+        return self.errors().uncertainty
+
+    def with_errors(self, **changed: Any) -> Fit:
+        """Return the fit with other errors, by the names of `FitErrors`."""
+        return replace(self, errors=partial(self.errors()._replace, **changed))
 
     def alone(self) -> Fit:
         """Return the fit without what other kinds would need, which takes memory."""
@@ -145,8 +162,10 @@ class Fit:
         The result's own values have the bias by those effects, and its square in their errors.
         """
         values = self.estimate.beta[places]
-        further = [each.covariance for each in (self.nonlinear, self.delay, self.omitted) if each]
-        covariance = sum(further, self.uncertainty.covariance)[np.ix_(places, places)]
+        errors = self.errors()
+        added = (errors.nonlinear, errors.delay, self.omitted)
+        further = [each.covariance for each in added if each is not None]
+        covariance = sum(further, errors.uncertainty.covariance)[np.ix_(places, places)]
         if self.omitted is None:
             return values, covariance
         bias = self.omitted.bias[places]
@@ -155,7 +174,8 @@ class Fit:
     @property
     def delay_shift(self) -> Array | None:
         """What the estimated delays would move parameters by if not applied, (p,)."""
-        return None if self.delay is None else self.delay.shift
+        delay = self.errors().delay
+        return None if delay is None else delay.shift
 
     def metrics(self, samples: Sequence[Samples]) -> tuple[TorqueMetrics, TorqueMetrics]:
         """Return the torque metrics of all samples together, as built and of the CAD values."""
@@ -174,9 +194,11 @@ class Fit:
         self,
         train: TorqueMetrics | None = None,
         cad: TorqueMetrics | None = None,
+        notes: Sequence[str] = (),
         **further: Any,
     ) -> IdentificationResult:
-        """Return the result with torque metrics and `further` arguments of `conclude`."""
+        """Return the result with torque metrics, notes and `further` arguments of `conclude`."""
+        errors = self.errors()
         return conclude(
             self.model,
             self.information,
@@ -185,10 +207,11 @@ class Fit:
             train=train,
             cad=cad,
             provenance=self.provenance,
-            uncertainty=self.uncertainty,
-            nonlinear=self.nonlinear,
-            delayed=self.delay,
+            uncertainty=errors.uncertainty,
+            nonlinear=errors.nonlinear,
+            delayed=errors.delay,
             omitted=self.omitted,
+            notes=(*errors.notes, *notes),
             findings=self.findings,
             **further,
         ).remembering(self.derived)
@@ -357,9 +380,24 @@ class _Conclusion:
         own = self.fitted
         first = self.samples[0]
         of_kind = estimate.of_kind
+        # Errors need neither rows that are kept nor other kinds of fits.
+        lean = replace(self, data=replace(self.data, kept=None))
+        provenance = tuple(dict.fromkeys(line for each in self.samples for line in each.provenance))
+        return Fit(
+            model=model,
+            information=self.data.information,
+            estimate=estimate,
+            errors=cache(partial(lean.find_errors, replace(estimate, of_kind=None))),
+            design=self.design,
+            rate=first.parallel.output_rate if first.parallel else first.rate,
+            provenance=provenance + (own.sentences(model.joint_names) if own else ()),
+            findings=own.findings(model.joint_names) if own else (),
+            of_kind=None if of_kind is None else lambda kind: self.of(of_kind(kind)),
+        )
+
+    def find_errors(self, estimate: Estimate) -> FitErrors:
+        """Return the errors of an estimate."""
         nonlinear = self._estimate_nonlinear_errors(estimate)
-        if nonlinear is not None:
-            estimate = _with_note(estimate, nonlinear.sentence(model.joint_names))
         delay = estimate_delay_errors(
             self._find_loading(estimate),
             self.data.base,
@@ -368,23 +406,10 @@ class _Conclusion:
             textbook=self.errors == "textbook",
             block_seconds=self.data.block_seconds,
         )
+        sentences = () if nonlinear is None else (nonlinear.sentence(self.data.model.joint_names),)
+        taken_away = () if self.of_pose is None else (NOISE_TAKEN_AWAY,)
         uncertainty = self._estimate_uncertainty(estimate)
-        if self.of_pose is not None:
-            estimate = _with_note(estimate, NOISE_TAKEN_AWAY)
-        provenance = tuple(dict.fromkeys(line for each in self.samples for line in each.provenance))
-        return Fit(
-            model=model,
-            information=self.data.information,
-            estimate=estimate,
-            uncertainty=uncertainty,
-            nonlinear=nonlinear,
-            delay=delay,
-            design=self.design,
-            rate=first.parallel.output_rate if first.parallel else first.rate,
-            provenance=provenance + (own.sentences(model.joint_names) if own else ()),
-            findings=own.findings(model.joint_names) if own else (),
-            of_kind=None if of_kind is None else lambda kind: self.of(of_kind(kind)),
-        )
+        return FitErrors(uncertainty, nonlinear, delay, (*sentences, *taken_away))
 
     def _find_loading(self, estimate: Estimate) -> RobotModel:
         """Return the robot whose torque loads friction."""
@@ -416,11 +441,6 @@ class _Conclusion:
         grown = found.covariance * np.outer(self.of_pose.growth, self.of_pose.growth)
         grown += self.of_pose.scores.doubt(information, estimate)
         return replace(found, covariance=grown)
-
-
-def _with_note(estimate: Estimate, note: str) -> Estimate:
-    """Return an estimate with a further note."""
-    return replace(estimate, notes=(*estimate.notes, note))
 
 
 def _estimate_uncertainty(

@@ -245,7 +245,7 @@ class CommandedTorque(TorqueOrigin):
         if beyond is not None:
             late = late or DelayErrors(np.zeros_like(beyond), np.zeros(len(beyond)))
             late = replace(late, covariance=late.covariance + beyond)
-        return fit if late is None else replace(fit, delay=late)
+        return fit if late is None else fit.with_errors(delay=late)
 
     def sentences(self, model: RobotModel) -> tuple[str, ...]:
         """Return what the torque of a command rests on, as a sentence."""

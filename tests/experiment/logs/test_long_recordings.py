@@ -135,6 +135,26 @@ def test_files_that_a_sheet_lists_take_the_place_of_the_log(tmp_path, read):
         read(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,q_1,tau_1\n0,1.1,2\n0.1,0.30000000000000004,-3e-7\n",
+        "t;q_1;tau_1\n0;nan;2\n\n0.1;1;inf\n",
+        "t\tq_1\ttau_1\n0\t1\t\n0.1\t2\t3\n",
+        "t,q_1,tau_1\n0,1,2\n# a comment\n0.1,2,3\n",
+    ],
+)
+def test_small_table_of_numbers_is_what_polars_reads(tmp_path, monkeypatch, text):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    found = delimited.read_delimited(path).columns
+    monkeypatch.setattr(delimited, "SMALL", 0)
+    expected = delimited.read_delimited(path).columns
+    assert list(found) == list(expected)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
 @pytest.mark.parametrize("separator", [",", ";", " "])
 def test_a_mark_of_the_byte_order_is_no_part_of_a_number(tmp_path, separator):
     rows = [[f"{x:.2f}" for x in (0.01 * k, 0.1 * k, k)] for k in range(50)]

@@ -119,7 +119,9 @@ class FeasibleRegion:
         """
         ends = [
             # The greatest is minus the least of the negative.
-            sign * self._problem.find_extreme(self._factor, self.radius, sign * value, divisor)
+            -sign * np.inf
+            if divisor is None and self._grows_unseen(-sign * value)
+            else sign * self._problem.find_extreme(self._factor, self.radius, sign * value, divisor)
             for sign in (1.0, -1.0)
         ]
         # Rounding about zero, such as a mass of -1e-10 kg.
@@ -134,6 +136,16 @@ class FeasibleRegion:
         if divisor is not None:
             own /= float(divisor @ self.chosen)
         return min(least, own), max(greatest, own)
+
+    def _grows_unseen(self, value: Array) -> bool:
+        """Return whether a mass at the origin of a link, which nothing sees or bounds, adds to it.
+
+        What is so has no greatest value, and needs no program to say so.
+        """
+        masses = 10 * np.arange(self.prior.n_links) + 9
+        unseen = ~np.any(self.base.regrouping[:, masses], axis=0)
+        unbounded = np.all(self.bounds.rows[:, masses] >= 0.0, axis=0)
+        return bool(np.any(value[masses[unseen & unbounded]] > 0.0))
 
     def holds(self, parameters: Array) -> bool:
         """Return whether parameters (n_standard,) meet the linear bounds, but for rounding."""

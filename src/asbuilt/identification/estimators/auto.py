@@ -190,12 +190,11 @@ def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Cho
     except AsbuiltError as problem:
         failed = free, f"{free.method}: the consistent fit failed ({problem})", ()
         return lambda _: failed
-    effect = design_effect(information, consistent)
-    masses = data.model.has_masses
-    weights = [effect * belief for belief in SELECTION_BELIEFS] if masses else []
-    only = _fit_kind_alone(data, prior, free, consistent, weights) if data.kind else None
+    only = _fit_kind_alone(data, prior, free, consistent) if data.kind else None
     if only is not None:
         return lambda _: only
+    effect = design_effect(information, consistent)
+    weights = _list_weights(data, effect)
     groups = group_different_motions(information, consistent.weights)
     if len(groups) < SELECTION_FEWEST_FOLDS:
         usual = _fit_usual_weight(data, prior, free, consistent)
@@ -224,12 +223,13 @@ def _prepare_choice(data: EstimationData, free: Estimate) -> Callable[[str], Cho
     ).choose
 
 
+def _list_weights(data: EstimationData, effect: float) -> list[float]:
+    """Return the weights of CAD that are tried, none where it has no masses."""
+    return [effect * belief for belief in SELECTION_BELIEFS] if data.model.has_masses else []
+
+
 def _fit_kind_alone(
-    data: EstimationData,
-    prior: CadPrior,
-    free: Estimate,
-    consistent: ConsistentEstimate,
-    weights: list[float],
+    data: EstimationData, prior: CadPrior, free: Estimate, consistent: ConsistentEstimate
 ) -> Chosen | None:
     """Return the fit of the kind that is asked for, compared with no other; None if there is none.
 
@@ -240,7 +240,8 @@ def _fit_kind_alone(
         free.method: lambda: free,
         consistent.method: lambda: consistent,
     }
-    if weights and data.kind not in fits:
+    if data.kind not in fits and data.model.has_masses:
+        weights = _list_weights(data, design_effect(information, consistent))
         no_parts = np.zeros((0, information.base.n_base + 1, information.base.n_base + 1))
         near_cad = _fit_toward_cad(information, prior, consistent, weights, no_parts)
         fits |= {each.kind: each.fit for each in near_cad.known if each.fit}

@@ -152,9 +152,8 @@ def refine_fit(
             notes=(*linear.notes, note),
             refit=None,
         ),
-        uncertainty=replace(fit.uncertainty, covariance=own),
         provenance=(*fit.provenance, note),
-    )
+    ).with_errors(uncertainty=replace(fit.uncertainty, covariance=own))
     before, built = (
         replace(objective.robot(each), model=model.with_parameters(each.chi[links]))
         for each in (start, found.point)

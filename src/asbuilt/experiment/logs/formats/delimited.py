@@ -47,6 +47,8 @@ LONGEST_LINE = 1_000_000
 """Characters of a line; 10 000 columns of full precision have fewer."""
 AT_ONCE = 1 << 20
 """Bytes that are searched at once."""
+SMALL = 6 << 20
+"""Bytes of a table of nothing but numbers that numpy reads before polars would be imported."""
 _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 
 
@@ -274,12 +276,37 @@ def read_delimited(path: Path, dialect: Dialect | None = None) -> LogTable:
     dialect = find_dialect(path) if dialect is None else dialect
     if dialect.separator == "":
         return _read_blank_delimited(path, dialect)
+    numbers = _read_small_numbers(path, dialect)
+    if numbers is not None:
+        return replace(_make_header(path, dialect), columns=numbers)
     try:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
         raise locate_bad_cell(path, dialect, error) from error
     frame = _convert_times(path, frame, dialect).select(dialect.numeric)
     return replace(_make_header(path, dialect), columns=list_columns(frame))
+
+
+def _read_small_numbers(path: Path, dialect: Dialect) -> dict[str, Array] | None:
+    """Return the columns of a small table of nothing but numbers, to the same bits; else None."""
+    plain = not dialect.text_columns and not dialect.decimal_comma and dialect.rows is None
+    if not plain or path.stat().st_size > SMALL:
+        return None
+    try:
+        rows = np.loadtxt(
+            path,
+            delimiter=dialect.separator,
+            skiprows=dialect.skip,
+            comments=None,
+            encoding="utf-8",
+            ndmin=2,
+        )
+    except ValueError:
+        # Missing cells, quotes, comments and lines of another length, of which polars knows.
+        return None
+    if rows.shape[1] != len(dialect.names):
+        return None
+    return dict(zip(dialect.names, np.ascontiguousarray(rows.T), strict=True))
 
 
 def _make_header(path: Path, dialect: Dialect) -> LogTable:
