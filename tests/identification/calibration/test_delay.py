@@ -115,7 +115,7 @@ def test_errors_of_parameters_count_a_shared_delay_once():
             for batch, error in zip(samples, errors, strict=True)
         ]
         fit = fit_samples(MODEL, stated, drive=DRIVE, method="wls")
-        added[name] = np.sqrt(np.diag(fit.delay.covariance))
+        added[name] = np.sqrt(np.diag(fit.errors().delay.covariance))
     late = [
         fit_samples(
             MODEL,
@@ -222,12 +222,12 @@ def test_errors_of_parameters_count_that_of_the_delay():
 
     fit, high, low = fitted(0.010), fitted(0.010 + error), fitted(0.010 - error)
     moved = 0.5 * (high.estimate.beta - low.estimate.beta)
-    added = np.sqrt(np.diag(fit.delay.covariance))
+    added = np.sqrt(np.diag(fit.errors().delay.covariance))
     big = np.abs(moved) > 0.05 * np.abs(moved).max()
     ratio = added[big] / np.abs(moved)[big]
     assert np.ptp(ratio) < 0.2 * ratio.mean()
     assert ratio.mean() > 0.97
-    np.testing.assert_allclose(fit.delay.shift, moved / error * -0.010, rtol=0.2, atol=0.02)
+    np.testing.assert_allclose(fit.errors().delay.shift, moved / error * -0.010, rtol=0.2, atol=0.02)
     assert (
         estimate_delay_errors(MODEL, fit.base, fit.estimate, [prepare_samples(log, chain)]) is None
     )
