@@ -127,7 +127,7 @@ def _errors(
     fit = fit_samples(described, training, base=base, method="auto", expected=source.expected)
     fit = source.with_errors(fit)
     variance = np.diag(fit.uncertainty.covariance).copy()
-    variance += 0.0 if fit.delay is None else np.diag(fit.delay.covariance)
+    variance += 0.0 if fit.errors().delay is None else np.diag(fit.errors().delay.covariance)
     drives = np.tile([DRIVES.armature, DRIVES.viscous, DRIVES.coulomb], n)
     beta = base.regrouping @ np.append(chi, drives)
     off = (fit.estimate.beta - beta) / np.sqrt(variance)
