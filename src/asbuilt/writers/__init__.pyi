@@ -21,7 +21,7 @@ from .files import quote_yaml as quote_yaml
 from .files import with_files as with_files
 from .models.as_built import as_built as as_built
 from .models.c.c_code import CCode as CCode
-from .models.control import note_left_out_servo as note_left_out_servo
+from .models.control import note_left_out_control as note_left_out_control
 from .models.convert import Conversion as Conversion
 from .models.convert import convert_robot as convert_robot
 from .models.ensembles import EnsembleFiles as EnsembleFiles

@@ -12,6 +12,8 @@ from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics import PositionServo
 from asbuilt.identification import IdentificationResult
 
+NO_GAINS = "no position servo was identified: gains are zero, and commands are torques"
+
 
 def with_gains(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
     """Return the robot with the gains and torque limits of a servo, if there is one."""
@@ -59,16 +61,25 @@ def note_missing_gains(
     """Return what a model file cannot hold of the servo of a result."""
     lost = kind == "urdf" and result.servo is not None
     gains = ("URDF has no place for the gains of the servo",) if lost else ()
-    return (*note_left_out_servo(result.servo, kind.upper()), *gains)
+    return (*note_left_out_control(result, kind.upper()), *gains)
 
 
-def note_left_out_servo(
-    servo: PositionServo | None, kind: str, *, delay: bool = False, falling: bool = False
+def find_command_delay(result: IdentificationResult) -> float:
+    """Return the delay of commands [s], not below zero: no simulator has commands early.
+
+    `note_left_out_control` says so.
+    """
+    return 0.0 if result.servo is None else max(result.servo.delay or 0.0, 0.0)
+
+
+def note_left_out_control(
+    result: IdentificationResult, kind: str, *, delay: bool = False, falling: bool = False
 ) -> tuple[str, ...]:
-    """Return notes on what a format of this name lacks of a servo.
+    """Return notes on what a format of this name lacks of the servo of a result.
 
     `delay` and `falling` say whether it holds the delay, and torque limits that fall with speed.
     """
+    servo = result.servo
     if servo is None:
         return ()
     # Simulators step in ms, and so do the sentences.

@@ -15,14 +15,12 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.writers.models.c.c_code import CCode, generate_c_code
-from asbuilt.writers.models.control import note_left_out_servo
+from asbuilt.writers.models.control import NO_GAINS, find_command_delay, note_left_out_control
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
     note_left_out_drives,
 )
 from asbuilt.writing import atomic_write
-
-NO_GAINS = "no position servo was identified: gains are zero, and commands are torques"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +37,8 @@ class ExportedDrives:
 
     @property
     def delay(self) -> float:
-        """Delay of commands [s], not below zero: no simulator has commands early.
-
-        `left_out` says so.
-        """
-        servo = self.result.servo
-        return 0.0 if servo is None else max(servo.delay or 0.0, 0.0)
+        """Delay of commands [s], not below zero; `left_out` says so."""
+        return find_command_delay(self.result)
 
     @property
     def has_gains(self) -> bool:
@@ -101,7 +95,7 @@ class ExportedDrives:
         return (
             *note_left_out_drives(self.plain, carried, kind),
             *(note for note, holds in cases.items() if holds),
-            *note_left_out_servo(self.result.servo, kind, delay=delay, falling=falling),
+            *note_left_out_control(self.result, kind, delay=delay, falling=falling),
             *([NO_GAINS] if gains and not self.has_gains else []),
         )
 

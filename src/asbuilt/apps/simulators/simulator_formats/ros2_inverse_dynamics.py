@@ -20,7 +20,7 @@ from asbuilt.writers import (
     SIMULATOR_FORMATS,
     ExportedDrives,
     SimulatorFormat,
-    note_left_out_servo,
+    note_left_out_control,
 )
 from asbuilt.writing import atomic_write
 
@@ -54,7 +54,7 @@ class Ros2InverseDynamics(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the source of the plugin, and notes."""
-        notes = note_left_out_servo(drives.result.servo, "inverse dynamics")
+        notes = note_left_out_control(drives.result, "inverse dynamics")
         order = "the joints are in the order of the log: " + ", ".join(drives.result.joint_names)
         return _render("solver.cpp", drives), (*notes, order)
 
