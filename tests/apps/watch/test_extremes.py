@@ -47,6 +47,15 @@ def test_block_maxima_leave_short_blocks_out() -> None:
     assert found[:, 0].tolist() == [2.0, 4.0]
 
 
+@pytest.mark.parametrize("seed", [1, 4, 7])
+def test_level_next_to_the_start_of_the_tail_is_found(seed: int) -> None:
+    maxima = np.random.default_rng(seed).exponential(size=60)
+    for peaks in (12, 14):
+        level = tail_level(maxima, np.nextafter((peaks + 1) / 61, 0.0), (peaks / 60,))
+        lower, _, upper = np.sort(maxima)[-peaks - 2 : -peaks + 1]
+        assert lower < level < upper
+
+
 def test_few_blocks_are_refused() -> None:
     with pytest.raises(RecordingError, match="too few for the tail"):
         tail_level(np.arange(10.0), 1e-3)

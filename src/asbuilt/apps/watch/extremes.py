@@ -37,7 +37,7 @@ TAIL_LEAST_SPREAD = 0.05
 
 
 TAILS = (0.02, 0.005)
-"""Shares of the blocks that are taken as the tail, or `TAIL.fewest_peaks` of them; the highest
+"""Shares of the blocks that are taken as the tail, or `TAIL_FEWEST_PEAKS` of them; the highest
 level counts. Rare states, such as reversals, have errors of their own, whose tail a fit to many
 blocks does not see: on the iiwa and the Panda it begins at the largest half percent."""
 SHAPES = np.linspace(-0.4, 0.4, 41)
@@ -105,7 +105,8 @@ def _fit_tail(x: Array, peaks: int, probability: float) -> float:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
     start, mean = _find_tail(x, peaks)
     above = (peaks + 1) / (len(x) + 1)
-    if probability >= above:
+    # At the start of the tail rounding decides on which side of it the level is.
+    if probability > (1.0 - 1e-12) * above:
         return float(np.quantile(x, 1.0 - probability))
     posterior = _evaluate_posterior((x[-peaks:] - start) / mean)
 
@@ -119,7 +120,7 @@ def _fit_tail(x: Array, peaks: int, probability: float) -> float:
 
 
 def select_largest(maxima: Array) -> Array:
-    """Return the largest `TAILS[0]` of maxima (B,), at least `TAIL.fewest_peaks`, in order."""
+    """Return the largest `TAILS[0]` of maxima (B,), at least `TAIL_FEWEST_PEAKS`, in order."""
     return np.sort(maxima)[-_count_peaks(len(maxima), TAILS[0]) :]
 
 
