@@ -9,6 +9,7 @@ from asbuilt.apps.watch.causal_filter import largest_velocity_error
 from asbuilt.apps.watch.thresholds import MANY, estimate_levels
 from asbuilt.apps.watch.watching import cut_held_out_parts
 from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
 
 HOUR = 3600
 
@@ -86,6 +87,12 @@ def test_what_is_held_out_of_a_log_is_the_same_in_parts(rule: str) -> None:
     parts = [log.part(slice(0, 4321)), log.part(slice(4321, None))]
     found = np.concatenate([part.t for part in cut_held_out_parts(parts, rule)])
     assert found.tolist() == whole.t.tolist()
+
+
+def test_nothing_held_out_sets_no_thresholds() -> None:
+    held_out = cut_held_out_parts([_log(0.2)], "last:0.3")
+    with pytest.raises(RecordingError, match="no sample is left"):
+        set_thresholds(held_out, _ErraticError(), ["joint"], bandwidth=8.0)  # type: ignore[arg-type]
 
 
 def test_what_is_left_out_between_held_out_blocks_verifies_no_rate() -> None:

@@ -360,6 +360,11 @@ def _average_largest(maxima: Array) -> Array:
 
 
 def _check_measured(logs: Sequence[Observed], names: Sequence[str]) -> None:
+    if not any(len(log.t) for log in logs):
+        raise RecordingError(
+            "no sample is left to set thresholds on",
+            cure=Cure("give a longer recording without contact, of another motion than the fit's"),
+        )
     for name, *columns in zip(names, *(log.residual.T for log in logs), strict=True):
         if not any(column.any() for column in columns):
             raise RecordingError(
