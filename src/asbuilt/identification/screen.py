@@ -78,7 +78,7 @@ def format_effects(
     """Return a line for each effect: what is in the model that CAD lacks, then what is not.
 
     What is not in the model is listed if it is an error of the log, or would lower the torque error
-    by `ScreenRules.worth`: of anything else nobody would do anything.
+    by `SCREEN_WORTH`: of anything else nobody would do anything.
     """
     ordered = sorted(effects, key=lambda each: each.error_after - each.error_before)
     ordered = [each for each in ordered if each.in_model or _is_worth_a_line(each)]

@@ -55,8 +55,9 @@ class FleetIdentification:
     undetermined
         Directions that no motion excites stay at CAD and are named, or are refused.
     prior
-        `"siblings"`: the other robots of the type in the ledger are the prior (`sibling_prior`),
-        unless the robot is unlike them; the estimator is then least squares with this prior.
+        `"siblings"`: the other robots of the type in the ledger are the prior
+        (`build_sibling_prior`), unless the robot is unlike them; the estimator is then least
+        squares with this prior.
 
     Raises
     ------

@@ -186,7 +186,7 @@ def estimate_payload_change(
     """Return the change of mass [kg] at a link that explains the residual, and its error, or None.
 
     `scale` (N, n) are standard deviations of the residual. Errors of the model last as long as a
-    pose does, so the standard error is computed over clusters of `RULES.cluster` seconds (Liang
+    pose does, so the standard error is computed over clusters of `EVENT_CLUSTER` seconds (Liang
     and Zeger, 1986).
     """
     t = observed.t

@@ -78,10 +78,10 @@ class ReadingOptions:
         `START:STOP,...` does too. Replaces the sheet's windows.
     lock
         Joints that are not identified, with their positions [rad or m], None where unknown; a text
-        `JOINT[=VALUE],...` does too. Added to the sheet's. `fitted_recordings` locks them.
+        `JOINT[=VALUE],...` does too. Added to the sheet's. `read_fitted_recordings` locks them.
     gravity
         Acceleration of free fall in the root frame [m/s^2], in place of the description's; `-z` and
-        the other axes are 9.81 m/s^2 in that direction. `fitted_recordings` applies it.
+        the other axes are 9.81 m/s^2 in that direction. `read_fitted_recordings` applies it.
     kp, kd
         Gains of the position servo [N m/rad, N m s/rad], one for all joints or one each, NaN where
         unknown; they replace the sheet's, and make torques of commands.

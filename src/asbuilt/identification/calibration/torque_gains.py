@@ -410,8 +410,8 @@ class _Problem:
     ) -> Array:
         """Return standard errors of the gains (n,) from time blocks, infinite if undetermined.
 
-        They belong to the fit about the solution, as in `block_uncertainty`: the arm and the
-        unknown part of the payload absorb residuals too.
+        They belong to the fit about the solution, as in `estimate_block_uncertainty`: the arm and
+        the unknown part of the payload absorb residuals too.
         """
         free = self._select_free(known)
         p = self._p

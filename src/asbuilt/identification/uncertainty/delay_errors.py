@@ -93,9 +93,9 @@ class DelayColumns:
 
         `shares` (R, 2 n, m) are the delays of each recording and column per free delay. With `C'`
         the columns projected off all others, the covariance is `(C'^T C')^-1`, or that from time
-        blocks if it is larger. Theirs counts, as in `block_uncertainty`, that base parameters
-        absorb residuals too and that residuals outlast a block. The base parameters follow by
-        `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
+        blocks if it is larger. Theirs counts, as in `estimate_block_uncertainty`, that base
+        parameters absorb residuals too and that residuals outlast a block. The base parameters
+        follow by `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
         """
         fit = self._solved(shares)
         m = shares.shape[-1]

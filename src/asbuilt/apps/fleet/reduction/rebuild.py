@@ -42,8 +42,8 @@ def rebuild_ledger(
     """Reduce logs of a ledger again, each type with settings chosen from several of its logs.
 
     The entries of the old settings stay valid until all logs are reduced, and remain in the folder.
-    Logs of a type that are not given are left out of the ledger from then on, which `fleet_show`
-    names.
+    Logs of a type that are not given are left out of the ledger from then on, which
+    `fleet_overview` names.
 
     Parameters
     ----------
