@@ -10,6 +10,7 @@ from asbuilt import load_robot, review, simulate_recording
 from asbuilt.codec import make_plain
 from asbuilt.excitation import random_fourier
 from asbuilt.writers import review_document, with_files, write_review
+from asbuilt.writers.reports.review_files import review_table
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +48,13 @@ def test_page_names_verdicts_and_claims_and_asks_nothing_of_the_network(found, f
         assert verdict in text
     assert "http" not in text.replace("http-equiv", "").replace("http://www.w3.org", "")
     assert files["figure"].read_bytes().startswith(b"\x89PNG")
+
+
+def test_torques_of_a_robot_with_a_sliding_joint_are_forces_too(found):
+    model = load_robot("scara")
+    log = simulate_recording(model, random_fourier(model, rng=1, duration=20.0), rng=1)
+    units = [
+        {column.header: column.unit for column in review_table(reviewed).columns}["torque"]
+        for reviewed in (found, review(model, log))
+    ]
+    assert units == ["N m", "N m, N"]

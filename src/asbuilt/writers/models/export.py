@@ -20,6 +20,7 @@ from asbuilt.identification.information.random_states import build_random_motion
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import round_significant
+from asbuilt.validation.prediction import name_torque_unit, torque_units
 from asbuilt.validation.verdicts.model_errors import NearestModel, compare_with_nearest
 from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
@@ -309,11 +310,11 @@ def _describe_difference(result: IdentificationResult, found: StandardParameters
         float(np.sqrt(np.mean(torque**2)))
         for torque in (found.torque_rms, found.torque_rms_of_motion)
     )
+    unit = name_torque_unit(torque_units(result.model))
     return (
         f"In random motion the torques of the two models differ by {round_significant(apart, 2)}"
-        " N m RMS"
-        f" (of {round_significant(of)}); the standard error of the identified torque there is"
-        f" {round_significant(float(error), 2)} N m."
+        f" {unit} RMS (of {round_significant(of)}); the standard error of the identified torque"
+        f" there is {round_significant(float(error), 2)} {unit}."
     )
 
 

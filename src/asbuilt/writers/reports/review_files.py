@@ -26,7 +26,7 @@ from asbuilt.tables import (
 from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.significance import RESOLUTION
-from asbuilt.validation.prediction import describe_letters
+from asbuilt.validation.prediction import describe_letters, name_torque_unit, torque_units
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
 from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
@@ -115,7 +115,8 @@ CLAIMS = (
     Column("claimed", align="decimal", style=3, of="claimed"),
     Column("log", align="decimal", of=lambda c: _show_estimate(c)[0]),
     Column("std err", align="decimal", of=lambda c: _show_estimate(c)[1]),
-    Column("torque", "N m", "decimal", style=3, of="torque"),
+)
+REMARKS = (
     Column("alias of", width=60, detail=True, of=lambda c: ", ".join(c.alias_of)),
     Column("note", width=60, detail=True, of="note"),
 )
@@ -134,9 +135,10 @@ def review_table(review: Review) -> Table:
         " plausible"
         " numbers explain the log to its errors."
     )
+    unit = name_torque_unit(torque_units(review.result.model))
     return Table.of(
         review.claims,
-        CLAIMS,
+        (*CLAIMS, Column("torque", unit, "decimal", style=3, of="torque"), *REMARKS),
         title="Claimed numbers, and estimates from the log not regularised toward them",
         notes=(
             f"CONTRADICTED: off by more than {format_share(RESOLUTION, 0)} of its size, at a false"
