@@ -309,3 +309,23 @@ def test_a_stream_is_watched_like_a_recording(watched: WatchedRobot, tmp_path: P
     (one,), (other,) = whole.events, parts.events
     assert (one.start, one.end, one.kind) == (other.start, other.end, other.kind)
     assert np.allclose(one.residual, other.residual, rtol=0, atol=1e-6)
+
+
+def test_a_stream_that_ends_in_lost_rows_is_watched_to_their_begin(
+    watched: WatchedRobot, tmp_path: Path
+) -> None:
+    """The last chunk has no row that is finite."""
+    log = watched.record(24, 10.0)
+    q = log.q.copy()
+    q[2 * len(q) // 3 :, 2] = np.nan
+    log = replace(log, q=q)
+    path = write_recording(tmp_path / "log.parquet", log)
+    stream = RecordingStream(Path(path), watched.model, chunk_samples=len(q) // 3)
+    whole, parts = (
+        watch(watched.result, each, thresholds=watched.thresholds, options=UNCHECKED)
+        for each in (log, stream)
+    )
+    assert parts.n_samples == whole.n_samples
+    assert [finding.text for finding in parts.findings] == [
+        finding.text for finding in whole.findings
+    ]

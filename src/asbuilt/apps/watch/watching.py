@@ -125,7 +125,10 @@ def estimate_doubtful_speed(
 def observe_parts(
     observer: Observer, recorded: Recording | RecordingStream, *, velocities: bool
 ) -> Iterator[Observed]:
-    """Yield what the observer makes of a log, in one part or, for a stream, in several."""
+    """Yield what the observer makes of a log, in one part or, for a stream, in several.
+
+    A part of a stream whose rows are all left out has no samples.
+    """
     if isinstance(recorded, Recording):
         yield _observe_recording(observer, recorded, velocities=velocities)
         return
@@ -367,7 +370,8 @@ def _choose_thresholds(
     findings: list[Finding] = []
     for recording in quiet or [log]:
         trained = is_trained_on(result, recording)
-        whole = list(observe_parts(observer, recording, velocities=measured))
+        observed = observe_parts(observer, recording, velocities=measured)
+        whole = [part for part in observed if len(part.t)]
         if trained and quiet and result.holdout is not None and result.trained is None:
             whole = cut_held_out_parts(whole, result.holdout)
         elif trained:
@@ -419,6 +423,9 @@ def _watch_log(
     tally = Tally(observer.model.joint_names, (link, placement), thresholds.filtered)
     report("observe", 0.0)
     for observed in observe_parts(observer, log, velocities=not thresholds.filtered):
+        if not len(observed.t):
+            tally.left_out += observed.left_out
+            continue
         scale, limit = thresholds.of_log(observed, observer.model_error)
         events += find_events(observer, observed, scale, limit, tally.tool)
         times = np.broadcast_to(observed.t[:, None], limit.shape)
