@@ -59,7 +59,7 @@ APPS = sorted(path.parent.name for path in SOURCE.glob("apps/*/__init__.py"))
 FACES = ("asbuilt", "asbuilt.cli", *(f"asbuilt.{stage}" for stage in STAGES))
 """Packages of the core whose stub lists what is public."""
 FULL = 25
-"""Modules that one folder may hold, drive terms excepted."""
+"""Modules that one folder may hold."""
 HEAVY = (
     "numba",
     "scipy",
@@ -251,7 +251,7 @@ def test_every_app_imports_into_its_commands_only_what_is_there() -> None:
 def test_no_folder_is_crowded() -> None:
     for folder in {path.parent for path in SOURCE.rglob("*.py")} - {SOURCE}:
         modules = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
-        assert len(modules) <= FULL or folder.name == "terms", f"{folder}: {sorted(modules)}"
+        assert len(modules) <= FULL, f"{folder}: {sorted(modules)}"
 
 
 def test_no_module_imports_in_a_circle() -> None:

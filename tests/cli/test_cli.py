@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import asbuilt
 from asbuilt.cli import main
 from command_line import call, document, documented_fields
 
@@ -556,3 +558,28 @@ def test_view_saves_pages_and_pictures_and_results_run_forward(
         code, _, err = call(capsys, "view", *wrong)
         assert code == status
         assert message in err
+
+
+@pytest.mark.study
+def test_a_robot_too_heavy_for_its_stated_torque_is_checked(tmp_path, capsys) -> None:
+    folder = Path(asbuilt.__file__).parent / "description" / "robots"
+    text = (folder / "kuka-iiwa7-r800.toml").read_text(encoding="utf-8")
+    robot = tmp_path / "weak.toml"
+    robot.write_text(re.sub(r"torque = [0-9.]+", "torque = 0.2", text), encoding="utf-8")
+    # It stands upright, where it weighs nothing, and turns about the vertical: its torques are
+    # within these limits, and those of nearly all other postures are not.
+    t = np.arange(0.0, 10.0, 0.005)
+    phases = np.outer(t, [1.0, 1.3]) + np.array([0.0, 1.0])
+    q, qd = np.zeros((2, t.size, 7))
+    q[:, [0, 6]] = 0.3 * np.sin(phases)
+    qd[:, [0, 6]] = 0.3 * np.cos(phases)
+    tau = 0.1 * np.sign(qd) + 0.01 * np.random.default_rng(0).normal(size=qd.shape)
+    names = [f"{kind}{k}" for kind in ("q", "tau") for k in range(1, 8)]
+    log = tmp_path / "log.csv"
+    table = np.column_stack([t, q, tau])
+    np.savetxt(log, table, delimiter=",", header=",".join(["t", *names]), comments="")
+    status, out, err = call(capsys, "check", robot, log, "--json")
+    assert status == 0, err
+    (found,) = json.loads(out)["recordings"]
+    assert found["findings"]
+    assert found["information"] is None

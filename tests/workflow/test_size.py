@@ -13,9 +13,11 @@ import pytest
 from asbuilt import identify
 from asbuilt.description import bundled_robot
 from asbuilt.description.appearance import find_size_units
-from asbuilt.dynamics import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.excitation import random_fourier
-from asbuilt.experiment import VirtualRobot
+from asbuilt.experiment import Samples, VirtualRobot
+from asbuilt.identification import fit_least_squares
+from asbuilt.identification.information.square_root_information import accumulate
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset,load_friction")
 
@@ -63,6 +65,31 @@ def test_effects_and_significance_do_not_depend_on_the_unit_of_length(studies, l
     sigmas = [study.result.estimates / study.result.std_errors for study in (own, other)]
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=1e-3, atol=1e-3)
     assert other.result.train.relative_error == pytest.approx(own.result.train.relative_error)
+
+
+@pytest.mark.parametrize("length", [1e-7, 1e3])
+def test_what_is_open_does_not_depend_on_the_unit_of_length(length: float) -> None:
+    """Joints at rest leave sums open of quantities with different powers of the length."""
+    robot = bundled_robot("kuka-iiwa7-r800")
+    rng = np.random.default_rng(2)
+    motion = rng.uniform(-2.0, 2.0, (3, 400, 7))
+    motion[:, :, [2, 5]] = np.array([0.3, 0.0, 0.0])[:, None, None]
+
+    def open_parameters(size: float) -> set[str]:
+        model = scaled(robot, size)
+        base = find_base_parameters(model, DriveSet.parse("viscous"))
+        samples = Samples(
+            np.arange(400) / 100.0,
+            *motion,
+            np.zeros((400, 7)),
+            rate=100.0,
+            joint_names=model.joint_names,
+        )
+        estimate = fit_least_squares(accumulate(model, base, samples), prior=np.zeros(base.n_base))
+        return {n for n, known in zip(base.names, estimate.determined, strict=True) if not known}
+
+    assert len(open_parameters(1.0)) > 5
+    assert open_parameters(length) == open_parameters(1.0)
 
 
 @pytest.mark.parametrize(("length", "unit"), [(1.0, 1.0), (1e-3, 1e-3), (3.0, 1.0), (1e3, 1e3)])

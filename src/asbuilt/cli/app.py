@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import difflib
 import errno
-import gc
 import inspect
 import io
 import json
@@ -18,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -29,7 +27,6 @@ from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import ABSENT, COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
-from asbuilt.registry import pause_garbage_collection
 from asbuilt.untrusted import (
     allow_xacro_python,
     describe_problem,
@@ -40,13 +37,6 @@ from asbuilt.untrusted import (
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
-
-NO_PLUGINS = "PYDANTIC_DISABLE_PLUGINS"
-"""Environment variable that keeps pydantic from asking every installed distribution for some."""
-
-BETWEEN_COLLECTIONS = 10_000
-"""New objects after which cycles are looked for. Nearly all that is imported lives to the end: to
-look through it after every 700, as Python does, takes a twentieth of a short command."""
 
 FULL_DISK = "asbuilt: the output cannot be written: No space left on device; free some space"
 
@@ -165,7 +155,7 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
 
 def _import_command(name: str, entry: Entry) -> Any:
     """Import a command."""
-    function = getattr(_import_to_stay(f"asbuilt.{entry.module}"), name)
+    function = getattr(import_module(f"asbuilt.{entry.module}"), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
         with (
@@ -181,16 +171,6 @@ def _import_command(name: str, entry: Entry) -> Any:
     help_text = f"{entry.summary}\n\n{more}".strip()
     alone.command(name, cls=Command, help=help_text, context_settings=HELP)(spread(function, run))
     return typer.main.get_command(alone)
-
-
-def _import_to_stay(name: str) -> ModuleType:
-    """Import a module whose objects are never looked through for cycles: they live to the end."""
-    if name in sys.modules:
-        return sys.modules[name]
-    with pause_garbage_collection():
-        module = import_module(name)
-        gc.freeze()
-    return module
 
 
 def _make_group(name: str, **described: Any) -> typer.Typer:
@@ -223,8 +203,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 data or robot do not allow it, 2 wrong usage."""
     for setting in BLAS_THREADS:
         os.environ.setdefault(setting, "1")
-    os.environ.setdefault(NO_PLUGINS, "1")
-    gc.set_threshold(BETWEEN_COLLECTIONS)
     _return_freed_memory()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

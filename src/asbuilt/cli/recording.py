@@ -10,6 +10,7 @@ import typer
 
 import asbuilt
 from asbuilt import (
+    MotionError,
     ReadingOptions,
     RecordingError,
     UsageError,
@@ -132,10 +133,13 @@ def _refuse_name_of_sheet(logs: list[Path]) -> None:
 def _measure_information(
     model: asbuilt.RobotModel, recording: asbuilt.Recording | experiment.RecordingStream
 ) -> workflow.RecordedInformation | None:
-    """Return the information of a recording; None of a robot for which no motion is designed."""
+    """Return the information of a recording; None of a robot for which no motion is designed.
+
+    Nor is there a bound for one that is too heavy for its drives.
+    """
     try:
         return workflow.recorded_information(model, recording)
-    except UsageError:
+    except (UsageError, MotionError):
         return None
 
 

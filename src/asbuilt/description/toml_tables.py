@@ -304,7 +304,8 @@ class CouplingTable(_Table):
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
-    __pydantic_extra__: dict[str, dict[str, Finite]] = Field(init=False)
+    # No value: pydantic 2.7 takes what has one for a field, whose name it refuses.
+    __pydantic_extra__: dict[str, dict[str, Finite]]
 
     motor: str | None = None
     turns: dict[str, Finite] = {}

@@ -279,3 +279,16 @@ def test_meshes_that_are_there_to_be_seen_do_not_hide_the_inertia():
     assert [link.inertia.mass for link in model.links[1:]] == pytest.approx([0.7, 0.2])
     (note,) = [note for note in model.notes if "'a'" in note]
     assert "1.5 kg by its geoms" in note
+
+
+def test_bodies_without_a_name_take_none_of_the_others() -> None:
+    text = """<mujoco><worldbody><body>{ball}<body name="body_1" pos="0 0 1"><joint name="a"/>{ball}
+    <body pos="0 0 1"><joint name="b" axis="0 1 0"/>{ball}{ball}<body name="body_3">{ball}</body>
+    </body></body></body></worldbody></mujoco>""".format(ball='<geom size="0.1"/>')
+    model = read_mjcf(text)
+    assert model.parents == (ROOT, 0)
+    assert model.link_names == ("body_1", "body_3_unnamed")
+    assert [frame.name for frame in model.frames] == ["body_1_unnamed", "body_3"]
+    ball = 1000.0 * 4.0 / 3.0 * np.pi * 0.1**3
+    masses = [link.inertia.mass for link in model.links]
+    np.testing.assert_allclose(masses, [ball, 3.0 * ball], rtol=1e-12)

@@ -87,6 +87,10 @@ def test_pose_of_the_model_turns_gravity() -> None:
 
 
 WRONG = {
+    "name of the model's frame": (
+        "<sdf><model name='a'><link name='__model__'/></model></sdf>",
+        "a <link> has no name of its own \\('__model__'\\)",
+    ),
     "no model": ("<sdf/>", "has 0 models"),
     "two models": ("<sdf><model name='a'/><model name='b'/></sdf>", "2 models \\(a, b\\)"),
     "included": ("<sdf><model name='a'><include/></model></sdf>", "<include>"),

@@ -227,8 +227,9 @@ def test_errors_of_parameters_count_that_of_the_delay():
     ratio = added[big] / np.abs(moved)[big]
     assert np.ptp(ratio) < 0.2 * ratio.mean()
     assert ratio.mean() > 0.97
-    shift = fit.errors().delay.shift
-    np.testing.assert_allclose(shift, moved / error * -0.010, rtol=0.2, atol=0.02)
+    np.testing.assert_allclose(
+        fit.errors().delay.shift, moved / error * -0.010, rtol=0.2, atol=0.02
+    )
     assert (
         estimate_delay_errors(MODEL, fit.base, fit.estimate, [prepare_samples(log, chain)]) is None
     )

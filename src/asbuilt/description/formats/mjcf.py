@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -137,7 +138,7 @@ def read_mjcf(
     places = {
         body: ("world" if link == ROOT else tree.links[link].name, pose)
         for body in range(compiled.nbody)
-        for link, pose in [tree.places[reading.name(body)]]
+        for link, pose in [tree.places[reading.names[body]]]
     }
     loops, closing = find_loops_by_equalities(mujoco, compiled, places, tree.joints)
     joints, left_out = couple_by_equalities(mujoco, compiled, tree.joints, closing)
@@ -344,14 +345,23 @@ class _Reading:
     connections: list[Connection] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def name(self, body: int) -> str:
-        return self.model.body(body).name or f"body_{body}"
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the bodies, each its own, in which those without a name have their number."""
+        given = [str(self.model.body(body).name) for body in range(self.model.nbody)]
+        found = []
+        for body, name in enumerate(given):
+            usual = f"body_{body}"
+            while not name and usual in given:
+                usual += "_unnamed"
+            found.append(name or usual)
+        return found
 
     def add(self, body: int) -> None:
         """Add a body and what connects it; of several joints all but the last have a link alone."""
         m = self.model
-        name = self.name(body)
-        parent = self.name(int(m.body_parentid[body]))
+        name = self.names[body]
+        parent = self.names[m.body_parentid[body]]
         origin = self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}")
         first = int(m.body_jntadr[body])
         count = int(m.body_jntnum[body])
@@ -471,7 +481,7 @@ class _Reading:
         for site in range(m.nsite):
             name = m.site(site).name
             if name and name not in taken:
-                link, pose = tree.places[self.name(int(m.site_bodyid[site]))]
+                link, pose = tree.places[self.names[m.site_bodyid[site]]]
                 own = self.placed(m.site_pos[site], m.site_quat[site], f"site {name!r}")
                 yield Frame(name, link, compose_placements(pose, own))
 

@@ -252,7 +252,7 @@ def _read_frames(model: Element, source: str) -> _Frames:
     for tag, usual in (("link", MODEL), ("frame", MODEL), ("joint", "")):
         for element in model.findall(tag):
             name = element.get("name")
-            if not name or name in frames.stated:
+            if not name or name in {*frames.stated, MODEL}:
                 raise DescriptionError(f"{source}: a <{tag}> has no name of its own ({name!r})")
             origin = usual or _read_text(element, "child", source)
             origin = element.get("attached_to") or origin

@@ -26,7 +26,6 @@ from asbuilt.identification.information.estimate import (
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import (
-    NEGLIGIBLE_COEFFICIENT,
     FactorSolution,
     solve_factor,
     solve_fast,
@@ -103,7 +102,8 @@ def fit_least_squares(
         weights=w,
         solution=solution,
         undetermined=_name_directions(information, solution),
-        determined=np.all(np.abs(solution.open_directions) <= NEGLIGIBLE_COEFFICIENT, axis=0),
+        # What is rounding is zero there: a coefficient of another unit may be small and open.
+        determined=np.all(solution.open_directions == 0.0, axis=0),
         iterations=iterations,
         converged=converged,
     )
@@ -230,7 +230,7 @@ def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     """
     order: list[int] = np.argsort(-np.abs(direction), kind="stable").tolist()
     lead = direction[order[0]]
-    shown = [j for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
+    shown = [j for j in order if direction[j] != 0.0]
     # Divided by the largest coefficient, whose sign then is plus.
     text = names[shown[0]]
     for j in shown[1:MOST_TERMS]:

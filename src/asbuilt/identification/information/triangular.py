@@ -18,7 +18,7 @@ REFLECTORS_AT_ONCE = 16
 FEW_COLUMNS = 100
 """Columns up to which one factor of all rows takes less time than many small ones do."""
 NEGLIGIBLE_COEFFICIENT = 1e-6
-"""Coefficient of a direction, relative to the largest, that is rounding."""
+"""Coefficient of a direction, in columns of length 1, that is rounding."""
 
 
 def triangular_factor(rows: Array) -> Array:
