@@ -162,3 +162,22 @@ def test_missing_columns_and_shifted_flags(model: RobotModel, sensed: dict[str, 
     late = {name: np.roll(x, 5) if name.startswith("contact_") else x for name, x in sensed.items()}
     found = read_recording(late, model=model)
     assert "contact_timing" in {each.code for each in check_free_base(model, found)}
+
+
+@pytest.mark.parametrize("column", ["imu_wx", "imu_qx"])
+def test_a_missing_value_of_a_sensor_is_told(
+    model: RobotModel, sensed: dict[str, Array], column: str
+) -> None:
+    lost = np.where(np.arange(sensed[column].size) == 50, np.nan, sensed[column])
+    with pytest.raises(RecordingError, match="missing values"):
+        read_recording(sensed | {column: lost}, model=model)
+
+
+def test_a_frame_that_is_not_there_is_refused_whether_it_is_needed_or_not(
+    model: RobotModel,
+    sensed: dict[str, Array],
+    log: dict[str, Array],  # noqa: F811
+) -> None:
+    for columns in (sensed, log):
+        with pytest.raises(RecordingError, match="the frame 'chest' is not fixed to the base"):
+            read_recording(columns, model=model, sheet={"imu_frame": "chest"})

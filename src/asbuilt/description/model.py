@@ -441,7 +441,8 @@ class RobotModel(RobotParts):
 
         Raises `MotionError` where loops do not close.
         """
-        return self.link_motion(np.reshape(q, (-1, self.n_joints))).q.reshape(*np.shape(q)[:-1], -1)
+        moved = self.link_motion(np.reshape(q, (-1, self.n_joints))).q
+        return moved.reshape(*np.shape(q)[:-1], self.n_links)
 
     def link_motion(
         self, q: Array, qd: Array | None = None, qdd: Array | None = None

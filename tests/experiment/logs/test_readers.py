@@ -84,6 +84,30 @@ def test_files_of_a_quantity_each_keep_the_unit_of_their_clock(
     np.testing.assert_allclose(recording.t - recording.t[0], [0.0, 0.3, 0.6, 1.0], atol=1e-12)
 
 
+def test_a_second_of_uneven_stamps_keeps_them() -> None:
+    """Seconds that all are the same are no clock of single precision: nanoseconds go on."""
+    nanoseconds = np.cumsum([*[1e6] * 30, *[2e6] * 30])
+    columns = {"stamp.sec": np.full(60, 7.0), "stamp.nanosec": nanoseconds}
+    recording = read_recording({**columns, "q_1": np.arange(60.0), "tau_1": np.ones(60)})
+    np.testing.assert_allclose(np.diff(recording.t), 1e-9 * np.diff(nanoseconds))
+    assert not recording.notes
+
+
+@pytest.mark.parametrize("begin", [0, 1_700_000_000])
+@pytest.mark.parametrize(("unit", "digits"), [("ms", 3), ("us", 6)])
+def test_clocks_of_files_are_compared_whatever_their_unit(
+    tmp_path: Path, unit: str, digits: int, begin: int
+) -> None:
+    rows = range(100)
+    seconds = [f"{begin + k // 100}.{k % 100:02},1" for k in rows]
+    others = [f"{begin * 10**digits + k * 10 ** (digits - 2)},2" for k in rows]
+    (tmp_path / "run_positions.csv").write_text("\n".join(["time,q_1", *seconds]))
+    (tmp_path / "run_efforts.csv").write_text("\n".join([f"time_{unit},tau_1", *others]))
+    recording = read_recording([tmp_path / "run_positions.csv", tmp_path / "run_efforts.csv"])
+    assert recording.n_samples == len(rows)
+    assert recording.duration == pytest.approx(0.99, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("angle", "torque"),
     [("shoulder_pos_deg", "shoulder_eff_mNm"), ("shoulder [deg]", "shoulder [mNm]")],

@@ -68,6 +68,14 @@ def test_missing_time_stamps_are_missing() -> None:
     np.testing.assert_array_equal(read_recording({"t": t, **columns}).t, [0.0, 1.0, 2.0])
 
 
+def test_time_stamps_in_an_archive_are_seconds(tmp_path: Path) -> None:
+    t = np.arange(4) * np.timedelta64(10, "ms")
+    for stamps in (t, np.datetime64("2026-01-01") + t):
+        np.savez(tmp_path / "log.npz", t=stamps, q_1=np.arange(4.0), tau_1=np.ones(4))
+        recording = read_recording(tmp_path / "log.npz")
+        np.testing.assert_allclose(recording.t, [0.0, 0.01, 0.02, 0.03], atol=1e-6)
+
+
 def test_one_or_many_of_any_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "log.csv"
     frame().write_csv(path)

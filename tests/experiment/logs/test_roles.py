@@ -84,6 +84,12 @@ def test_units_in_names(name: str, scale: float) -> None:
     assert role.scale == pytest.approx(scale)
 
 
+def test_letters_that_only_look_like_a_unit_are_none() -> None:
+    role = recognise("q_1_\u017f")  # a long s, which is no s of seconds
+    assert role is not None
+    assert role.scale == 1.0
+
+
 def test_kinds_of_torque() -> None:
     kinds = [
         role.kind

@@ -286,6 +286,16 @@ def test_the_scale_of_torques_is_doubted_without_masses(name: str) -> None:
     )
 
 
+@pytest.mark.parametrize("robot", ["two-link", "four-bar"])
+def test_a_joint_without_any_position_is_told(robot: str) -> None:
+    model = bundled_robot(robot)
+    t = np.arange(200) / 100.0
+    q = 0.1 * np.sin(t)[:, None] * np.ones(model.n_joints)
+    q[:, 0] = np.nan
+    check = check_recording(model, Recording(t, q, np.cos(q) + t[:, None]))
+    assert "200 of 200" in next(item for item in check.errors if item.code == "not_finite").message
+
+
 def test_missing_values(iiwa: RobotModel, clean: Recording) -> None:
     tau, q = clean.tau.copy(), clean.q.copy()
     tau[123, 4] = np.nan

@@ -81,3 +81,12 @@ def test_unrelated_torques_have_no_convention() -> None:
     recording = recorded("kuka-iiwa7-r800")
     torques = np.random.default_rng(4).normal(0.0, 20.0, recording.tau.shape)
     assert found("kuka-iiwa7-r800", replace(recording, tau=torques)) is None
+
+
+@pytest.mark.study
+def test_a_zero_that_shows_in_no_torque_is_not_named() -> None:
+    """About the vertical another zero brings a joint within its limits, and no torque changes."""
+    turned = changed(recorded("puma-560"), 0, zero=3.0)
+    wrapped = replace(turned, notes=("positions that wrap at 6.28319 were unwrapped: j1 2 times",))
+    check = check_recording(bundled_robot("puma-560"), wrapped)
+    assert "joint_zero" not in {finding.code for finding in check.findings}

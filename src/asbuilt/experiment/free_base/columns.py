@@ -88,6 +88,9 @@ def with_base_columns(
     if posed and frame:
         placement = place_on_base(table.source, model, frame, "base_frame")
         columns |= move_to_base(columns, placement)
+    if posed and sensor:
+        # Not needed here, but a frame that a sheet names must be there.
+        place_on_base(table.source, model, sensor, "imu_frame")
     recording = replace(recording, extra=columns)
     states = [columns[name] for name in columns if name.startswith(("base_", "imu_"))]
     rows = np.flatnonzero(np.isfinite(states).all(axis=0))

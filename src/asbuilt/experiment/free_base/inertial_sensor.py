@@ -79,7 +79,8 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
             f"log {' '.join((*ANGULAR, *FORCE))}, or the pose of the base",
         )
     w, f = (np.stack([known[name] for name in names], axis=1) for names in (ANGULAR, FORCE))
-    if not (np.isfinite(w).all() and np.isfinite(f).all() and np.all(np.diff(recording.t) > 0.0)):
+    logged = [known[name] for name in (*ANGULAR, *FORCE, *QUATERNION) if name in known]
+    if not (np.isfinite(logged).all() and np.all(np.diff(recording.t) > 0.0)):
         raise make_sensor_error(
             recording,
             "has an inertial sensor with missing values, or a clock that does not advance, so that"
@@ -96,8 +97,8 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
     refuse_force(recording, feet, f)
     R = None
     if set(QUATERNION) <= known.keys():
-        logged = _read_rotations(recording)
-        R, inverse = (x @ placement[:3, :3].T for x in (logged, np.swapaxes(logged, 1, 2)))
+        turned = _read_rotations(recording)
+        R, inverse = (x @ placement[:3, :3].T for x in (turned, np.swapaxes(turned, 1, 2)))
         refuse_turn(recording, feet, R, inverse, w, f)
     refuse_rates(recording, feet, w, f, R)
     arm = placement[:3, 3]

@@ -97,11 +97,19 @@ def _find_clock(table: LogTable) -> tuple[str, ...]:
 
 
 def _read_clock(table: LogTable, clock: tuple[str, ...]) -> Array:
-    """Return the times [s] of a clock and its nanoseconds."""
+    """Return the times [s] of a clock and its nanoseconds, by which rows of files are matched."""
     stamps, *nanoseconds = (table.columns[name] for name in clock)
     role = recognise(clock[0])
     seconds = stamps * (1.0 if role is None else role.scale)
-    return seconds + 1e-9 * nanoseconds[0] if nanoseconds else seconds
+    # Of clocks in two units the last bits differ: 290 ms are not 0.29 s.
+    return _round_digits(seconds + 1e-9 * nanoseconds[0] if nanoseconds else seconds)
+
+
+def _round_digits(x: Array) -> Array:
+    """Return numbers with the decimal digits that a double holds."""
+    size = np.where(np.isfinite(x), np.maximum(np.abs(x), 1e-15), 1.0)
+    unit = 10.0 ** (np.finfo(np.float64).precision - 1 - np.floor(np.log10(size)))
+    return np.asarray(np.round(x * unit) / unit)
 
 
 def _match_rows(

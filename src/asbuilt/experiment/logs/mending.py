@@ -383,7 +383,7 @@ def mend_clock(
     t = _read_clock(table, layout)
     if not np.all(np.isfinite(t)) or not np.any(steps := np.diff(t)):
         return table, []
-    grid = _find_grid(t, table.columns[layout.time], step)
+    grid = _find_grid(t, _read_stamps(table, layout), step)
     if grid is not None:
         return _with_clock(table, layout, *grid, began)
     backward = int(np.count_nonzero(steps < 0))

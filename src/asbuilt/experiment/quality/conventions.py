@@ -164,8 +164,8 @@ def check_zeros(fit: TorqueFit, *, of_encoders: bool) -> tuple[Finding, TorqueFi
     zeros = shared if costs[0] <= costs[1] else single
     after = replace(fit, q=fit.q - zeros)
     better = _find_improved_joints(fit, after)
-    several = better.size >= 2 or of_encoders
-    if not zeros.any() or min(costs) > cost(as_logged) or not several:
+    fewest = 1 if of_encoders else 2
+    if not zeros.any() or min(costs) > cost(as_logged) or better.size < fewest:
         return None
     before, now = fit.compare_correlation(after, better)
     by_masses = compare_by_any_masses(fit, after)

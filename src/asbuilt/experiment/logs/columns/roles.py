@@ -441,7 +441,7 @@ def _split_unit(name: str) -> tuple[str, int | None, str, int]:
             unit = content.strip()
     bare = re.sub(r"[\[(][^\])]*[\])]", "", name)
     suffix = _UNIT_SUFFIX.search(bare)
-    if suffix and _QUANTITY_OF_UNIT[suffix.group(1).lower()] == "time":
+    if suffix and _QUANTITY_OF_UNIT.get(suffix.group(1).lower()) == "time":
         # Baxter's joints are s0 to w2: `ang_left_s0` is no angle in seconds
         rest = _find_quantity(split_words(bare[: suffix.start()]))[0]
         suffix = suffix if rest in (None, "time") else None

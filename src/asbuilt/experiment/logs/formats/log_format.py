@@ -225,7 +225,7 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     RecordingError
         If no variable is a numeric vector or matrix.
     """
-    arrays = {name: np.squeeze(np.asarray(value)) for name, value in variables.items()}
+    arrays = {name: np.squeeze(_count_seconds(value)) for name, value in variables.items()}
     arrays = {
         name: a
         for name, a in arrays.items()
@@ -271,8 +271,7 @@ def tabulate_columns(item: Any) -> LogTable:
         If no column is numeric.
     """
     if isinstance(item, Mapping):
-        arrays = {str(name): _count_seconds(values) for name, values in item.items()}
-        return tabulate_variables("dict of arrays", arrays)
+        return tabulate_variables("dict of arrays", {str(name): item[name] for name in item})
     frame = item
     if getattr(getattr(item, "index", None), "name", None) is not None:
         frame = item.reset_index()
