@@ -117,6 +117,11 @@ def test_a_list_of_joints_is_not_ignored() -> None:
     with pytest.raises(RecordingError, match="lists the joints") as raised:
         find_layout(table, sheet=RecordingSheet(joints=["one", "two"]))
     assert '[joints] with "elbow"' in str(raised.value.cure)
+    with pytest.raises(RecordingError, match="lists the joints"):
+        find_layout(table, sheet=RecordingSheet(joints=[]))
+    numbered = LogTable("log", dict.fromkeys(["time", "q1", "q2", "tau1", "tau2"], np.zeros(1)))
+    with pytest.raises(RecordingError, match="names 0 joints"):
+        find_layout(numbered, sheet=RecordingSheet(joints=[]))
 
 
 def test_gains_of_a_servo_need_its_commands():

@@ -417,7 +417,9 @@ def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingShee
         ]
     if all(role.joint for role in group):
         labels = [role.joint for role in group]
-        if listed and sorted(map(split_words, labels)) != sorted(map(split_words, listed)):
+        if listed is not None and sorted(map(split_words, labels)) != sorted(
+            map(split_words, listed)
+        ):
             raise RecordingError(
                 f"{source}: the sheet lists the joints {', '.join(listed)}, but the {quantity}"
                 f" columns name theirs, {', '.join(labels)}",
@@ -445,7 +447,7 @@ def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingShee
             file=source,
             available=columns,
         )
-    if listed and len(listed) != len(group):
+    if listed is not None and len(listed) != len(group):
         raise RecordingError(
             f"{source}: the sheet names {len(listed)} joints but the log has {len(group)}"
             f" {quantity} columns",
