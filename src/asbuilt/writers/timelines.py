@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.children import open_scratch
 from asbuilt.description import ROOT, RobotModel, link_solids
 from asbuilt.dynamics.kinematics import link_poses
@@ -309,7 +309,7 @@ def _interpolate_positions(
     if not own:
         return none
     recording = max(own, key=lambda head: len(head.source))
-    valid = np.all(np.isfinite(recording.q), axis=1)
+    valid = find_finite_rows(recording.q)
     if not valid.any():
         return none
     logged = recording.t[valid]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_finite_rows
 
 SETTLED = 10.0
 """Time in `1 / w` after which the filter has forgotten its start."""
@@ -135,7 +135,7 @@ def largest_velocity_error(
     """
     found = []
     for t, q, qd in logs:
-        kept = np.isfinite(t) & np.isfinite(q).all(axis=1)
+        kept = find_finite_rows(t, q)
         if pole is not None:
             x = q[kept]
             found.append(
@@ -143,7 +143,7 @@ def largest_velocity_error(
                 * _evaluate_derivative_gain(pole, float(np.median(np.diff(t))))
             )
         elif qd is not None:
-            x = qd[kept & np.isfinite(qd).all(axis=1)]
+            x = qd[kept & find_finite_rows(qd)]
             found.append(_estimate_noise(x, x[ORDER:] + x[:-ORDER]))
     return np.asarray(LARGEST * np.max(found, axis=0))
 

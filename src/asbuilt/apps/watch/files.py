@@ -13,6 +13,7 @@ from asbuilt.apps.watch.watched_log import (
     format_thresholds,
     format_torque_unit,
 )
+from asbuilt.arrays import find_finite_rows
 from asbuilt.codec import format_json
 from asbuilt.description import RobotModel
 from asbuilt.experiment import Recording, RecordingStream, head_of
@@ -150,7 +151,7 @@ def timeline_of_watched(
     """Return the timeline of a watched log: measured and external torque, thresholds, events."""
     head = head_of(recording)
     trace = watched.trace
-    valid = np.all(np.isfinite(head.q), axis=1)
+    valid = find_finite_rows(head.q)
     return Timeline(
         recording_name(watched.source),
         model,

@@ -20,7 +20,7 @@ from asbuilt.apps.watch.watch_findings import (
     report_velocities,
 )
 from asbuilt.apps.watch.watched_log import POINTS, Trace, WatchedLog
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_finite_rows
 from asbuilt.description import RobotModel
 from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment import (
@@ -184,10 +184,9 @@ def _observe_recording(observer: Observer, recording: Recording, *, velocities: 
 
 def _find_valid_rows(recording: Recording, *, velocities: bool) -> Mask:
     """Return which rows (N,) are finite and later than all before them."""
-    columns = [recording.t[:, None], recording.q, recording.tau]
-    if velocities and recording.qd is not None:
-        columns.append(recording.qd)
-    return find_advancing_rows(recording.t, np.all(np.isfinite(np.hstack(columns)), axis=1))
+    rates = recording.qd if velocities else None
+    finite = find_finite_rows(recording.t, recording.q, recording.tau, rates)
+    return find_advancing_rows(recording.t, finite)
 
 
 def watch(

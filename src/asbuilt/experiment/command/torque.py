@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_finite_rows
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, spread_over_joints
@@ -133,9 +133,7 @@ def _require_command(recording: Recording) -> Array:
 def _select_samples(recording: Recording) -> Mask:
     """Return the samples with a command, at times that increase (N,)."""
     t = recording.t
-    return find_advancing_rows(
-        t, np.isfinite(t) & np.all(np.isfinite(_require_command(recording)), axis=1)
-    )
+    return find_advancing_rows(t, find_finite_rows(t, _require_command(recording)))
 
 
 def _weigh_neighbours(x: Array, weight: float) -> Array:

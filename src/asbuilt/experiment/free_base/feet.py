@@ -25,7 +25,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.parts import Contact
 from asbuilt.dynamics import inverse_dynamics, link_poses
@@ -237,7 +237,7 @@ def with_measured_forces(recording: Recording, model: RobotModel) -> Recording:
     for place, wrench in wrenches.items():
         for k, each in enumerate(model.contacts):
             if contact is not None and each.frame == place.frame:
-                contact[np.isfinite(wrench).all(axis=1), k] = 0.0
+                contact[find_finite_rows(wrench), k] = 0.0
     tau = recording.tau + generalised_forces(rolling, recording.q, wrenches)
     return replace(recording, tau=tau, contact=contact)
 
@@ -326,7 +326,7 @@ def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Itera
     needed = inverse_dynamics(model, recording.q, rates, np.gradient(rates, recording.t, axis=0))[
         :, :3
     ]
-    known = np.isfinite(world).all(axis=1)
+    known = find_finite_rows(world)
     if recording.contact is not None:
         known &= ~(recording.contact > 0.5).any(axis=1)
 

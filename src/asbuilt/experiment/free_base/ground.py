@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, find_finite_rows
 from asbuilt.description import quaternion_from_rotation
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import find_axes_across, rotation_onto
@@ -112,7 +112,7 @@ def measure_ground(
             " the ground, so that a rollout cannot simulate them",
             cure=Cure("let the base float, or leave the rollout out"),
         )
-    usable = np.all(np.isfinite(recording.q), axis=1) & np.isfinite(recording.t)
+    usable = find_finite_rows(recording.t, recording.q)
     t = recording.t[usable]
     up = find_vertical(model)
     poses = link_poses(model, recording.q[usable])

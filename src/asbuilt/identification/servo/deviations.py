@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, find_finite_rows
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.command.torque import hold_command
 from asbuilt.experiment.recording import Recording
@@ -269,7 +269,7 @@ def _is_visible(recording: Recording, held: Array, rate: Array, joints: Indices)
     """Whether the goal of a recording differs visibly from the delayed command, in any joint."""
     moved = hold_command(recording) - held
     error = held - recording.q
-    rows = np.all(np.isfinite(moved) & np.isfinite(rate) & np.isfinite(error), axis=1)
+    rows = find_finite_rows(moved, rate, error)
     if not np.any(rows):
         return False
     moved = moved[rows][:, joints]

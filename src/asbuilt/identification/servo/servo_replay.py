@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, PositionServo
 from asbuilt.errors import RecordingError
@@ -222,7 +222,7 @@ def _simulate_spans(
 
 def _split_segments(recording: Recording) -> list[Indices]:
     """Return the rows with positions, apart where the log has gaps; runs of two rows and more."""
-    rows = np.flatnonzero(np.all(np.isfinite(recording.q), axis=1) & np.isfinite(recording.t))
+    rows = np.flatnonzero(find_finite_rows(recording.t, recording.q))
     steps = np.diff(recording.t[rows])
     if not steps.size:
         return []

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_finite_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, PositionServo, described_drive
 from asbuilt.errors import RecordingError
@@ -94,7 +94,7 @@ class DriveSignal:
 
 def select_finite(t: Array, values: Array) -> tuple[Array, Array]:
     """Return times (K,), each once and in order, and values (K, n) of samples that are finite."""
-    there = np.isfinite(t) & np.all(np.isfinite(values), axis=1)
+    there = find_finite_rows(t, values)
     times, first = np.unique(t[there], return_index=True)
     return times, values[there][first]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from asbuilt.arrays import Array, Image
+from asbuilt.arrays import Array, Image, find_finite_rows
 from asbuilt.description import ROOT, RobotModel, Solid, link_solids, rotation_onto
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
@@ -327,7 +327,7 @@ def motion_of_recording(recording: Recording | RecordingStream) -> SplineMotion:
     Raises `MotionError` if there are fewer than 6 samples without gaps.
     """
     head = head_of(recording)
-    valid = np.all(np.isfinite(head.q), axis=1) & np.isfinite(head.t)
+    valid = find_finite_rows(head.t, head.q)
     t = head.t[valid]
     q = head.q[valid]
     if len(t) < FEWEST_POSES:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, find_finite_rows
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
@@ -412,7 +412,7 @@ def _resample(
     turn = [
         k for k, name in enumerate(names) if name.rpartition("_")[2] in ("qx", "qy", "qz", "qw")
     ]
-    known = np.isfinite(values).all(axis=1)
+    known = find_finite_rows(values)
     times = times[known]
     values = values[known]
     if turn and len(values):
